@@ -1,0 +1,1 @@
+"""Capture devices behind one interface: no threads, no clock of their own, nothing of vision."""

@@ -1,0 +1,1 @@
+"""From a grabber to the measuring worker: threads, the newest-wins slot, the ledger."""

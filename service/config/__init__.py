@@ -1,0 +1,1 @@
+"""What users write: steam generators, cameras, the station. Every check of a setting stands here."""

@@ -1,0 +1,1 @@
+"""Where results go: each sink behind its own bounded queue and thread."""

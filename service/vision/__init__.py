@@ -1,0 +1,1 @@
+"""Pure measuring functions: arrays in, results out. No devices, threads, clocks or files."""
