@@ -1,0 +1,30 @@
+"""What all tests share: the truth data, where it is to be had, and a watch on threads left running."""
+
+import os
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+SHARED = Path(os.environ.get("BOWLSIGHT_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+
+
+@pytest.fixture(scope="session")
+def shared() -> Path:
+    """Folder of the truth data; the test is skipped where it is absent."""
+    if not (SHARED / "bowl").is_dir():
+        pytest.skip(f"no truth data at {SHARED}; set BOWLSIGHT_SHARED to its folder")
+    return SHARED
+
+
+@pytest.fixture(autouse=True)
+def no_thread_left_running():
+    """Fail a test that leaves a thread behind; those that are just ending are waited for."""
+    before = set(threading.enumerate())
+    yield
+    deadline = time.monotonic() + 2.0
+    while left := [t for t in threading.enumerate() if t not in before and t.is_alive()]:
+        if time.monotonic() > deadline:
+            pytest.fail(f"threads left running: {', '.join(t.name for t in left)}")
+        left[0].join(0.05)
