@@ -52,7 +52,7 @@ class Sink(Protocol):
         ...
 
     def accept(self, frame: Frame, results: Sequence[FrameResult]) -> None:
-        """Take one frame with its results: one, or two for interlaced video; none for a corrupt frame. Returns at once."""
+        """Take one frame with its results: one, or two for interlaced video. Returns at once."""
         ...
 
     def close(self, timeout_s: float) -> None:

@@ -1,0 +1,189 @@
+"""The live service: one grabber, one measuring thread, any sinks, started and stopped as one."""
+
+from __future__ import annotations
+
+import logging
+import sys
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Self
+
+import cv2
+
+from service.acquisition.health import Health
+from service.acquisition.ledger import Ledger
+from service.acquisition.measuring import FrameMeasurer
+from service.acquisition.slot import FrameQueue, NewestSlot
+from service.acquisition.thread import AcquisitionThread
+from service.acquisition.worker import Worker
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from types import TracebackType
+
+    from drivers.frame import Field
+    from drivers.grabber import FrameFormat, Grabber
+    from service.acquisition.measuring import Measurer
+    from service.acquisition.slot import HandOver
+    from service.acquisition.worker import Answer
+    from service.sinks.base import Sink, SinkStats
+
+__all__ = ["LiveService"]
+
+log = logging.getLogger(__name__)
+
+OPEN_TIMEOUT_S = 10.0
+STOP_S = 1.6
+"""Time for a stop, of the two seconds promised: the rest is the interpreter's own way out."""
+SINKS_SHARE_S = 0.4
+"""Of it, what is kept for sinks to flush, however long the threads take."""
+ORDERED_CAPACITY = 8
+
+
+class LiveService:
+    """Grabs, measures and hands on until stopped, or until the source ends or fails.
+
+    Parameters
+    ----------
+    grabber
+        Closed. The service's from `start` on.
+    measurer_for
+        Makes the measurer once the pictures' format is known; may raise ConfigError where they do not go together.
+    sinks
+        Not started.
+    every_frame
+        Measure all frames in order and let the source wait, as a recording at full speed can; otherwise the newest.
+    field
+        What to take every frame for; None: as the source says.
+    oldest_s
+        Do not measure frames older than this; None: however old.
+    """
+
+    def __init__(
+        self,
+        grabber: Grabber,
+        measurer_for: Callable[[FrameFormat], Measurer],
+        sinks: Sequence[Sink] = (),
+        *,
+        every_frame: bool = False,
+        field: Field | None = None,
+        oldest_s: float | None = None,
+    ) -> None:
+        self._grabber, self._measurer_for, self._sinks = grabber, measurer_for, tuple(sinks)
+        self._clock, self._field, self._oldest_s = grabber.clock, field, oldest_s
+        self._ledger = Ledger()
+        self._hand_over: HandOver = FrameQueue(ORDERED_CAPACITY) if every_frame else NewestSlot()
+        self._subscribers: list[FrameQueue] = []
+        self._acquisition = AcquisitionThread(grabber, self._hand_over, self._ledger, self._subscribers)
+        self._worker: Worker | None = None
+        self._started_sinks: list[Sink] = []
+        self._switch_interval_s = sys.getswitchinterval()
+        self.stuck: list[str] = []
+        """What did not stop in time, for the summary."""
+
+    def subscribe(self, capacity: int) -> FrameQueue:
+        """Ask, before `start`, for every frame in a bounded queue of its own."""
+        queue = FrameQueue(capacity)
+        self._subscribers.append(queue)
+        return queue
+
+    def start(self) -> FrameFormat:
+        """Open the source, start the sinks, begin to measure; what cannot be is raised, and nothing is left running.
+
+        Raises
+        ------
+        DeviceError
+            The source cannot be opened.
+        ConfigError
+            Its pictures do not go with the camera, or a sink lacks what it needs.
+        """
+        sys.setswitchinterval(0.0005)  # the capture thread wakes in 0.6 ms beside a busy worker, instead of 5
+        cv2.setNumThreads(1)  # a second thread costs capture its core and gains nothing
+        try:
+            picture_format = self._acquisition.open(OPEN_TIMEOUT_S)
+            measurer = FrameMeasurer(self._measurer_for(picture_format), self._field, self._clock)
+            for sink in self._sinks:
+                self._started_sinks.append(sink)
+                sink.start()
+            self._worker = Worker(self._hand_over, measurer, self._sinks, self._ledger, self._clock, self._oldest_s)
+            self._worker.start()
+            self._acquisition.begin()
+        except BaseException:
+            self.stop()
+            raise
+        return picture_format
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until the source is over and everything taken from it answered; False where it is not yet."""
+        deadline = time.monotonic() + timeout_s
+        worker = self._worker
+        return worker is None or (worker.join(timeout_s) and self._acquisition.join(deadline - time.monotonic()))
+
+    def stop(self, timeout_s: float = STOP_S) -> None:
+        """Stop from any state: ask the threads to end, wait for them, flush the sinks. May be repeated."""
+        deadline = time.monotonic() + timeout_s
+        self._acquisition.request_stop()
+        if self._worker is not None:
+            self._worker.request_stop()
+        self._hand_over.close()
+        for part, name in ((self._acquisition, "the acquisition thread"), (self._worker, "the measuring thread")):
+            if part is not None and not part.join(deadline - SINKS_SHARE_S - time.monotonic()):
+                self._note_stuck(name)
+        while self._started_sinks:
+            share = max(0.1, deadline - time.monotonic()) / len(self._started_sinks)
+            self._close(self._started_sinks.pop(), share)
+        sys.setswitchinterval(self._switch_interval_s)
+
+    def _close(self, sink: Sink, timeout_s: float) -> None:
+        try:
+            sink.close(timeout_s)
+        except Exception:
+            log.exception("%s: closing failed", sink.name)
+
+    def _note_stuck(self, name: str) -> None:
+        if name not in self.stuck:
+            self.stuck.append(name)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.stop()
+
+    # -- looking at it ------------------------------------------------------------------------------------------------
+
+    @property
+    def failure(self) -> Exception | None:
+        """What ended the service, where that was neither a stop nor the end of a recording."""
+        return self._acquisition.failure or (self._worker.failure if self._worker else None)
+
+    @property
+    def latest(self) -> Answer | None:
+        """The last frame answered."""
+        return self._worker.latest if self._worker else None
+
+    def health(self) -> Health:
+        """How it is doing now."""
+        now_ns, acquisition, worker = self._clock.monotonic_ns(), self._acquisition, self._worker
+        assert worker is not None, "not started"
+        return Health(
+            state=acquisition.state,
+            generation=acquisition.generation,
+            capture_fps=acquisition.rate.per_second(now_ns),
+            result_fps=worker.rate.per_second(now_ns),
+            silent_s=acquisition.silent_s(now_ns),
+            age_ms=worker.age_ms.percentiles(),
+            latency_ms=worker.latency_ms.percentiles(),
+            waiting=self._hand_over.depth,
+            overflowed=sum(queue.overflowed for queue in self._subscribers),
+            account=self._ledger.account(),
+            locks=dict(worker.locks),
+            sinks={sink.name: self._stats(sink, worker.refused[sink.name]) for sink in self._sinks},
+        )
+
+    @staticmethod
+    def _stats(sink: Sink, refused: int) -> SinkStats:
+        stats = sink.stats()
+        return replace(stats, accepted=stats.accepted + refused, failed=stats.failed + refused)

@@ -1,0 +1,88 @@
+"""Frames in, results out: the step that the live worker and `analyze` share."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING, Protocol
+
+from drivers.frame import Field
+from service.acquisition.ledger import Outcome
+from service.acquisition.repeated import RepeatedLog
+from service.results import FrameResult
+from service.vision.measurement import Lock, Measurement, Tubes
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from drivers.frame import Frame
+    from drivers.grabber import Clock
+
+__all__ = ["FrameMeasurer", "Measurer"]
+
+log = logging.getLogger(__name__)
+
+
+class Measurer(Protocol):
+    """What vision offers: pictures in, measurements out, with a memory from picture to picture."""
+
+    def measure(
+        self, pixels: NDArray[np.uint8] | NDArray[np.uint16], time_ns: int, field: str = "unknown"
+    ) -> Sequence[Measurement]:
+        """Measure a picture: one answer, or two (top and bottom) for an interlaced one."""
+        ...
+
+    def reset(self) -> None:
+        """Forget what earlier pictures showed."""
+        ...
+
+
+class FrameMeasurer:
+    """Answers every frame: with what vision says, or with no lock and the reason.
+
+    Parameters
+    ----------
+    measurer
+        Vision.
+    field
+        What to take every frame for instead of what its source says of it; None: as the source says.
+    clock
+        Times the rate of repeated warnings.
+    """
+
+    def __init__(self, measurer: Measurer, field: Field | None, clock: Clock) -> None:
+        self._measurer, self._field = measurer, field
+        self._log = RepeatedLog(log, clock)
+        self._generation: int | None = None
+        self._index = 0
+
+    def answer(self, frame: Frame) -> tuple[tuple[FrameResult, ...], Outcome]:
+        """Measure one frame. Never raises for what is in it: an error of the measuring itself is an answer too."""
+        if frame.generation != self._generation:
+            self._measurer.reset()
+            self._generation = frame.generation
+        outcome = Outcome.PROCESSED
+        measurements: Sequence[Measurement]
+        if frame.defect is not None:
+            measurements = [_nothing(frame, f"bad frame: {frame.defect}")]
+        else:
+            try:
+                measurements = self._measurer.measure(frame.pixels, frame.timestamp_ns, self._field or frame.field)
+            except Exception as error:  # noqa: BLE001 - a mistake in measuring one frame must not end the watch
+                said = f"{type(error).__name__}: {error}"
+                self._log.warning(
+                    "measure", f"{frame.source}: frame {frame.sequence} could not be measured: {said}", error
+                )
+                measurements, outcome = [_nothing(frame, f"measuring failed: {said}")], Outcome.FAILED
+        sequence = self._index if frame.sequence is None else frame.sequence
+        self._index = sequence + 1
+        return tuple(
+            FrameResult(frame.source, sequence, frame.timestamp_ns, frame.generation, m) for m in measurements
+        ), outcome
+
+
+def _nothing(frame: Frame, reason: str) -> Measurement:
+    field = frame.field if frame.field in (Field.TOP, Field.BOTTOM) else Field.PROGRESSIVE
+    return Measurement(str(field), Lock.NONE, " ".join(reason.split()), (), Tubes.none(), None, frame.timestamp_ns)
