@@ -1,0 +1,165 @@
+"""The station file: what `bowlsight run` grabs, measures with, and shows."""
+
+from __future__ import annotations
+
+import enum
+import ipaddress
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from drivers.errors import ConfigError
+from drivers.frame import Field
+from drivers.grabber import Standard
+from service.config.cameras import read_camera
+from service.config.generators import SteamGenerator, load_generator
+from service.config.table import Table, read_toml
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+    from pathlib import Path
+
+    from service.vision.camera import Camera
+
+__all__ = ["FieldOrder", "MeasuringSettings", "SourceSettings", "Station", "ViewerSettings", "read_station"]
+
+
+class FieldOrder(enum.StrEnum):
+    """How to take interlaced pictures: decide from the picture, as whole ones, or as fields with that one first."""
+
+    AUTO = "auto"
+    PROGRESSIVE = "progressive"
+    TOP = "top"
+    BOTTOM = "bottom"
+
+    @property
+    def field(self) -> Field | None:
+        """What every frame is taken for; None: as its source says."""
+        return {
+            FieldOrder.AUTO: None,
+            FieldOrder.PROGRESSIVE: Field.PROGRESSIVE,
+            FieldOrder.TOP: Field.INTERLACED_TOP_FIRST,
+            FieldOrder.BOTTOM: Field.INTERLACED_BOTTOM_FIRST,
+        }[self]
+
+
+@dataclass(frozen=True, slots=True)
+class SourceSettings:
+    """[source]: `device` as `open_grabber` takes it; what is None, NONE or not listed stays as the device has it."""
+
+    device: str
+    input: str | None = None
+    standard: Standard = Standard.NONE
+    controls: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuringSettings:
+    """[measuring]."""
+
+    field_order: FieldOrder = FieldOrder.AUTO
+    oldest_frame_ms: float = 1000.0
+
+
+@dataclass(frozen=True, slots=True)
+class ViewerSettings:
+    """[viewer]."""
+
+    enabled: bool = True
+    address: str = "127.0.0.1"
+    port: int = 9876
+    open_browser: bool = False
+    memory_mib: int = 256
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """A station file, with the generator and the camera that it names."""
+
+    source: SourceSettings
+    generator: SteamGenerator
+    camera: Camera | None
+    measuring: MeasuringSettings
+    viewer: ViewerSettings
+
+
+def read_station(path: Path) -> Station:
+    """Read a station file and what it names; raises ConfigError where a key is missing, unknown or impossible."""
+    t = read_toml(path)
+    source, generator, camera = t.table("source", required=True), t.table("generator", required=True), t.table("camera")
+    measuring, viewer = t.table("measuring"), t.table("viewer")
+    t.finish()
+    return Station(
+        source=_source(source),
+        generator=_generator(generator, path.parent),
+        camera=_camera(camera, path.parent),
+        measuring=_measuring(measuring),
+        viewer=_viewer(viewer),
+    )
+
+
+def _source(t: Table) -> SourceSettings:
+    device = t.text("device")
+    if not device.strip():
+        raise t.error("device", 'must name a source: "simulated", a video, or a folder of pictures')
+    controls = t.table("controls")
+    settings = SourceSettings(
+        device=device,
+        input=t.text("input", None),
+        standard=t.choice("standard", Standard, Standard.NONE),
+        controls={name: controls.number(name) for name in controls.values},
+    )
+    t.finish()
+    return settings
+
+
+def _generator(t: Table, folder: Path) -> SteamGenerator:
+    name = t.text("name")
+    t.finish()
+    try:
+        return load_generator(str(folder / name) if name.endswith(".toml") else name)
+    except ConfigError as error:
+        raise t.error("name", str(error)) from None
+
+
+def _camera(t: Table, folder: Path) -> Camera | None:
+    name = t.text("file", None)
+    t.finish()
+    if name is None:
+        return None
+    try:
+        return read_camera(folder / name)
+    except ConfigError as error:
+        raise t.error("file", str(error)) from None
+
+
+def _measuring(t: Table) -> MeasuringSettings:
+    default = MeasuringSettings()
+    settings = MeasuringSettings(
+        field_order=t.choice("field_order", FieldOrder, default.field_order),
+        oldest_frame_ms=t.number("oldest_frame_ms", default.oldest_frame_ms, minimum=20, maximum=60_000),
+    )
+    t.finish()
+    return settings
+
+
+def _viewer(t: Table) -> ViewerSettings:
+    default = ViewerSettings()
+    address = t.text("address", default.address)
+    if not _is_loopback(address):
+        raise t.error("address", "must be a loopback address such as 127.0.0.1: the viewer asks nobody for a password")
+    settings = ViewerSettings(
+        enabled=t.flag("enabled", default.enabled),
+        address=address,
+        port=t.integer("port", default.port, minimum=1, maximum=65535),
+        open_browser=t.flag("open_browser", default.open_browser),
+        memory_mib=t.integer("memory_mib", default.memory_mib, minimum=16, maximum=65536),
+    )
+    t.finish()
+    return settings
+
+
+def _is_loopback(address: str) -> bool:
+    try:
+        return ipaddress.IPv4Address(address).is_loopback
+    except ValueError:
+        return False
