@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from service.acquisition.worker import Answer
     from service.sinks.base import Sink, SinkStats
 
-__all__ = ["LiveService"]
+__all__ = ["STOP_S", "LiveService"]
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +51,8 @@ class LiveService:
         Makes the measurer once the pictures' format is known; may raise ConfigError where they do not go together.
     sinks
         Not started.
+    prepare
+        Sets the grabber up once it is open, before it streams.
     every_frame
         Measure all frames in order and let the source wait, as a recording at full speed can; otherwise the newest.
     field
@@ -65,6 +67,7 @@ class LiveService:
         measurer_for: Callable[[FrameFormat], Measurer],
         sinks: Sequence[Sink] = (),
         *,
+        prepare: Callable[[Grabber], None] | None = None,
         every_frame: bool = False,
         field: Field | None = None,
         oldest_s: float | None = None,
@@ -74,7 +77,7 @@ class LiveService:
         self._ledger = Ledger()
         self._hand_over: HandOver = FrameQueue(ORDERED_CAPACITY) if every_frame else NewestSlot()
         self._subscribers: list[FrameQueue] = []
-        self._acquisition = AcquisitionThread(grabber, self._hand_over, self._ledger, self._subscribers)
+        self._acquisition = AcquisitionThread(grabber, self._hand_over, self._ledger, self._subscribers, prepare)
         self._worker: Worker | None = None
         self._started_sinks: list[Sink] = []
         self._switch_interval_s = sys.getswitchinterval()

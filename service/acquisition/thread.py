@@ -12,7 +12,7 @@ from service.acquisition.ledger import Outcome
 from service.acquisition.repeated import RepeatedLog
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from drivers.frame import Frame
     from drivers.grabber import Clock, FrameFormat, Grabber
@@ -46,12 +46,20 @@ class AcquisitionThread:
         Counts them.
     subscribers
         Lossless queues that get every frame there is room for.
+    prepare
+        Called once the grabber is open, before it streams: sets input, standard and controls.
     """
 
     def __init__(
-        self, grabber: Grabber, hand_over: HandOver, ledger: Ledger, subscribers: Sequence[FrameQueue] = ()
+        self,
+        grabber: Grabber,
+        hand_over: HandOver,
+        ledger: Ledger,
+        subscribers: Sequence[FrameQueue] = (),
+        prepare: Callable[[Grabber], None] | None = None,
     ) -> None:
         self._grabber, self._hand_over, self._ledger, self._subscribers = grabber, hand_over, ledger, subscribers
+        self._prepare = prepare
         self._clock: Clock = grabber.clock
         self._log = RepeatedLog(log, self._clock)
         self._stop = threading.Event()
@@ -131,6 +139,8 @@ class AcquisitionThread:
 
     def _acquire(self) -> None:
         self._grabber.open()
+        if self._prepare is not None:
+            self._prepare(self._grabber)
         self._format = self._grabber.format
         self._opened.set()
         while not self._begin.wait(1.0):

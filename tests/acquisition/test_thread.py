@@ -7,6 +7,7 @@ from drivers.errors import (
     DeviceDisconnectedError,
     DeviceNotFoundError,
     DeviceProtocolError,
+    DeviceStateError,
     DeviceTimeoutError,
 )
 from service.acquisition.health import AcquisitionState
@@ -20,11 +21,11 @@ from tests.fakes.scripted import PATIENCE_S, Hang, ScriptedGrabber, idle, make_f
 class Rig:
     """An acquisition thread over a script, with a queue that takes everything."""
 
-    def __init__(self, script=(), *, hand_over=None, subscribers=(), **kwargs):
+    def __init__(self, script=(), *, hand_over=None, subscribers=(), prepare=None, **kwargs):
         self.grabber = ScriptedGrabber(script, **kwargs)
         self.hand_over = FrameQueue(1000) if hand_over is None else hand_over
         self.ledger = Ledger()
-        self.thread = AcquisitionThread(self.grabber, self.hand_over, self.ledger, subscribers)
+        self.thread = AcquisitionThread(self.grabber, self.hand_over, self.ledger, subscribers, prepare)
 
     def run_to_the_end(self):
         self.thread.open(PATIENCE_S)
@@ -76,6 +77,20 @@ def test_nothing_streams_before_begin(rig):
     r.thread.begin()
     assert r.thread.join(PATIENCE_S)
     assert started
+
+
+def test_the_device_is_set_up_between_opening_and_streaming(rig):
+    states = []
+    rig([0], prepare=lambda grabber: states.append(grabber.state)).run_to_the_end()
+    assert states == ["open"]
+
+
+def test_a_setting_that_the_device_refuses_is_raised_by_open_and_the_device_given_back(rig):
+    r = rig([0], prepare=lambda grabber: grabber.select_input("S-Video 9"))
+    with pytest.raises(DeviceStateError, match="fake: has no input S-Video 9; it offers fake"):
+        r.thread.open(PATIENCE_S)
+    assert r.thread.join(PATIENCE_S)
+    assert r.grabber.state == "closed"
 
 
 @pytest.mark.parametrize("error", [DeviceNotFoundError("fake", "is not there"), DeviceBusyError("fake", "is taken")])
