@@ -86,7 +86,7 @@ def test_pictures_of_other_pixels_than_square_ones_are_linked_by_their_aspect():
 
 def test_a_place_is_given_to_one_point_only():
     lattice, _, points = seen(Arrangement.SQUARE)
-    doubled = np.concatenate([points, points[:5] + [3.0, 2.0]])
+    doubled = np.concatenate([points, points[:5] + np.array([3.0, 2.0])])
     found = link(doubled, np.full(len(doubled), RADIUS_PX), lattice)
     used = found.site[found.used]
     assert len(np.unique(used, axis=0)) == len(used)
