@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
+
+    Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
 __all__ = ["Field", "Frame", "PixelFormat"]
 
@@ -63,7 +65,7 @@ class Frame:
         defect is delivered and counted as corrupt, never measured.
     """
 
-    pixels: NDArray[np.uint8] | NDArray[np.uint16]
+    pixels: Pixels
     sequence: int | None
     timestamp_ns: int
     received_ns: int

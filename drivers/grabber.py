@@ -12,6 +12,7 @@ goes on to the end although a step of it fails. A grabber belongs to one thread 
 from __future__ import annotations
 
 import enum
+import math
 import time
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
@@ -81,6 +82,11 @@ class AcquisitionMode(enum.StrEnum):
     SINGLE = "single"
     TRIGGERED = "triggered"
 
+    @property
+    def frames_owed(self) -> float:
+        """How many frames `start` asks for, before any `trigger`."""
+        return {"continuous": math.inf, "single": 1, "triggered": 0}[self.value]
+
 
 class FieldMode(enum.StrEnum):
     """How interlaced video is handed over: woven frames, each field on its own, or one of the two only."""
@@ -147,7 +153,10 @@ class Control:
 
 @dataclass(frozen=True, slots=True)
 class Counters:
-    """What came of the frames since `open`. `completed + lost` is the span of the sequence numbers."""
+    """What came of the frames since `open`.
+
+    `completed + lost` is the span of the sequence numbers, where none is handed over twice (fields, repeats).
+    """
 
     completed: int = 0
     """Frames handed over, those with a defect among them."""

@@ -1,0 +1,156 @@
+"""From a source's name to its grabber."""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qsl
+
+import numpy as np
+
+from drivers.errors import ConfigError, DeviceNotFoundError
+from drivers.grabber import Clock, FieldMode, Grabber
+from drivers.replay import ReplayGrabber
+from drivers.scene import GENERATORS, LOOKS
+from drivers.simulated import SimulatedGrabber
+from drivers.simulation import default_scene
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+__all__ = ["open_grabber"]
+
+SOURCES = "a video, a folder of pictures, a picture, or simulated[:GENERATOR][?key=value&...]"
+USUAL_GENERATOR = "system80"
+
+
+def open_grabber(
+    source: str,
+    *,
+    speed: float = 1.0,
+    loop: bool = False,
+    rate_hz: float = 25.0,
+    field_mode: FieldMode = FieldMode.FRAME,
+    top_first: bool = True,
+    clock: Clock | None = None,
+) -> Grabber:
+    """Give the grabber for a source, closed: its `open`, or a `with` block, takes the device.
+
+    Parameters
+    ----------
+    source
+        Path of a video, a folder of pictures or a picture; or ``simulated``, or ``simulated:delta60`` for another
+        steam generator, or with any of these values ``simulated?seed=0&size=640x480&rate_hz=25&bits=8&interlaced=no``
+        ``&look=nominal&loop_frames=48&pitch_px=40``.
+    speed
+        1.0 is the source's own pace; infinity is as fast as it is read.
+    loop, rate_hz, top_first
+        For recordings, see `ReplayGrabber`.
+    field_mode
+        Woven frames, or fields.
+    clock
+        Where `received_ns` and waiting come from.
+
+    Raises
+    ------
+    DeviceNotFoundError
+        There is no such kind of source.
+    ConfigError
+        A value in the source's name is unknown or impossible.
+    """
+    kind, _, query = source.partition("?")
+    if kind == "simulated" or kind.startswith("simulated:"):
+        generator = kind.partition(":")[2] or USUAL_GENERATOR
+        return _simulated(source, generator, query, speed=speed, field_mode=field_mode, clock=clock)
+    if (scheme := re.match(r"[a-z][a-z0-9+.-]+:", source)) and not Path(source).exists():
+        raise DeviceNotFoundError(source, f"{scheme[0]} is no kind of source; give {SOURCES}")
+    return ReplayGrabber(
+        source, speed=speed, loop=loop, rate_hz=rate_hz, field_mode=field_mode, top_first=top_first, clock=clock
+    )
+
+
+def _simulated(
+    source: str, generator: str, query: str, *, speed: float, field_mode: FieldMode, clock: Clock | None
+) -> SimulatedGrabber:
+    lattice = _known(source, "steam generator", generator, GENERATORS)
+    values = _values(source, query)
+    loop_frames: int = values.pop("loop_frames", 48)
+    values["look"] = _known(source, "look", values.get("look", "nominal"), LOOKS)
+    rng = np.random.default_rng(values.pop("seed", 0))
+    scene = default_scene(lattice, rng, frames=max(1, loop_frames - 1), **values)
+    return SimulatedGrabber(
+        scene, loop_frames=loop_frames, speed=speed, field_mode=field_mode, name=source, rng=rng, clock=clock
+    )
+
+
+def _values(source: str, query: str) -> dict[str, Any]:
+    """The arguments of `default_scene`, and `seed` and `loop_frames`."""
+    values = {}
+    for key, text in parse_qsl(query, keep_blank_values=True):
+        argument, convert = _known(source, "key", key, _KEYS)
+        try:
+            values[argument] = convert(text)
+        except ValueError as error:
+            raise ConfigError(f"{source}: {key} = {text!r}: {error}") from error
+    return values
+
+
+def _known(source: str, what: str, name: str, known: Mapping[str, Any]) -> Any:
+    if name in known:
+        return known[name]
+    near = difflib.get_close_matches(name, known, 1, 0.4)
+    hint = f"did you mean {near[0]}? " if near else ""
+    raise ConfigError(f"{source}: unknown {what} {name!r}; {hint}known: {', '.join(known)}")
+
+
+def _whole(low: int, high: int) -> Callable[[str], int]:
+    def convert(text: str) -> int:
+        if not text.isdecimal() or not low <= int(text) <= high:
+            raise ValueError(f"must be a whole number from {low} to {high}")
+        return int(text)
+
+    return convert
+
+
+def _positive(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0 < value < math.inf:
+        raise ValueError("must be a number above 0")
+    return value
+
+
+def _size(text: str) -> tuple[int, int]:
+    size = re.fullmatch(r"(\d{2,4})x(\d{2,4})", text)
+    if size is None:
+        raise ValueError("must be like 640x480, 10 to 9999 px a side")
+    return int(size[1]), int(size[2])
+
+
+def _yes_or_no(text: str) -> bool:
+    if text not in ("yes", "no"):
+        raise ValueError("must be yes or no")
+    return text == "yes"
+
+
+def _bits(text: str) -> int:
+    if text not in ("8", "16"):
+        raise ValueError("must be 8 or 16")
+    return int(text)
+
+
+_KEYS: dict[str, tuple[str, Callable[[str], Any]]] = {
+    "seed": ("seed", _whole(0, 2**62)),
+    "size": ("size_px", _size),
+    "rate_hz": ("rate_hz", _positive),
+    "bits": ("bits", _bits),
+    "interlaced": ("interlaced", _yes_or_no),
+    "look": ("look", str),
+    "loop_frames": ("loop_frames", _whole(1, 5000)),
+    "pitch_px": ("pitch_px", _positive),
+}
