@@ -202,27 +202,29 @@ def fit_ellipse(points_px: NDArray[np.float64]) -> Ellipse | None:
         return None
     mean = points_px.mean(axis=0)
     scale = float(np.sqrt(((points_px - mean) ** 2).mean()))
-    if not scale > 0:
+    placed = _center_and_angle((points_px - mean) / scale) if scale > 0 else None
+    if placed is None:
         return None
-    x, y = ((points_px - mean) / scale).T
-    (a, b, c, d, e), _, rank, _ = np.linalg.lstsq(
-        np.stack([x * x, x * y, y * y, x, y], axis=1), np.ones(len(x)), rcond=1e-9
-    )
-    if rank < 5 or not 4 * a * c - b * b > 1e-9 * (a + c) ** 2:
-        return None
-    center = np.linalg.solve(np.array([[2 * a, b], [b, 2 * c]]), -np.array([d, e]))
-    angle = 0.5 * np.arctan2(b, a - c)
+    center, angle = mean + scale * placed[0], placed[1]
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    own = (np.stack([x, y], axis=1) - center) @ turn
+    own = (points_px - center) @ turn
     axes = semi_axes(own)
     if axes is None:
         return None
-    radius = np.hypot(own[:, 0] / axes[0], own[:, 1] / axes[1])
-    off = np.hypot(own[:, 0], own[:, 1]) * (1 - 1 / np.maximum(radius, 1e-9))
-    cx, cy = (mean + scale * center).tolist()
-    return Ellipse(
-        (cx, cy), (scale * axes[0], scale * axes[1]), float(np.degrees(angle)), scale * float(np.sqrt((off**2).mean()))
-    )
+    beyond = 1 - 1 / np.maximum(np.hypot(*(own / axes).T), 1e-9)
+    residual = float(np.sqrt(((own * beyond[:, None]) ** 2).sum(axis=1).mean()))
+    return Ellipse((float(center[0]), float(center[1])), axes, float(np.degrees(angle)), residual)
+
+
+def _center_and_angle(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float] | None:
+    """Centre, (2,), and direction of one axis, rad, of the conic through points of unit spread; None for no ellipse."""
+    x, y = points.T
+    terms = np.stack([x * x, x * y, y * y, x, y], axis=1)
+    (a, b, c, d, e), _, rank, _ = np.linalg.lstsq(terms, np.ones(len(x)), rcond=1e-9)
+    if rank < 5 or not 4 * a * c - b * b > 1e-9 * (a + c) ** 2:
+        return None
+    center = np.linalg.solve(np.array([[2 * a, b], [b, 2 * c]]), -np.array([d, e]))
+    return center, float(0.5 * np.arctan2(b, a - c))
 
 
 def semi_axes(points: NDArray[np.float64]) -> tuple[float, float] | None:
