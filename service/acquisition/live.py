@@ -32,7 +32,7 @@ __all__ = ["STOP_S", "LiveService"]
 
 log = logging.getLogger(__name__)
 
-OPEN_TIMEOUT_S = 10.0
+OPEN_TIMEOUT_S = 30.0
 STOP_S = 1.6
 """Time for a stop, of the two seconds promised: the rest is the interpreter's own way out."""
 SINKS_SHARE_S = 0.4
@@ -119,8 +119,12 @@ class LiveService:
     def wait(self, timeout_s: float) -> bool:
         """Wait until the source is over and everything taken from it answered; False where it is not yet."""
         deadline = time.monotonic() + timeout_s
-        worker = self._worker
-        return worker is None or (worker.join(timeout_s) and self._acquisition.join(deadline - time.monotonic()))
+        if self._worker is None:
+            return True
+        if not self._worker.join(timeout_s):
+            return False
+        self._acquisition.request_stop()  # where the worker ended by a mistake of its own, nobody measures any more
+        return self._acquisition.join(deadline - time.monotonic())
 
     def stop(self, timeout_s: float = STOP_S) -> None:
         """Stop from any state: ask the threads to end, wait for them, flush the sinks. May be repeated."""

@@ -65,6 +65,7 @@ class AcquisitionThread:
         self._stop = threading.Event()
         self._opened = threading.Event()
         self._begin = threading.Event()
+        self._done = threading.Event()
         self._format: FrameFormat | None = None
         self._last_frame_ns = 0
         self._thread = threading.Thread(target=self._run, name="bowlsight-acquisition", daemon=True)
@@ -98,14 +99,10 @@ class AcquisitionThread:
 
     def join(self, timeout_s: float) -> bool:
         """Wait for its end; False where it is stuck in its device."""
-        if self._thread.ident is not None:
-            self._thread.join(max(0.0, timeout_s))
-        return not self._thread.is_alive()
-
-    @property
-    def running(self) -> bool:
-        """Whether the thread is alive."""
-        return self._thread.is_alive()
+        if self._thread.ident is None:
+            return True
+        # An interrupted Thread.join takes the thread for ended (CPython 3.11): wait for an event instead.
+        return self._done.wait(max(0.0, timeout_s))
 
     @property
     def generation(self) -> int:
@@ -193,3 +190,4 @@ class AcquisitionThread:
         for queue in (self._hand_over, *self._subscribers):
             queue.close()
         self._opened.set()
+        self._done.set()

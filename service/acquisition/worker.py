@@ -71,6 +71,7 @@ class Worker:
         self._clock, self._oldest_s = clock, oldest_s
         self._log = RepeatedLog(log, clock)
         self._stop = threading.Event()
+        self._done = threading.Event()
         self._thread = threading.Thread(target=self._run, name="bowlsight-measuring", daemon=True)
         self.age_ms, self.latency_ms, self.rate = Window(), Window(), Rate()
         self.locks: collections.Counter[str] = collections.Counter()
@@ -88,14 +89,10 @@ class Worker:
 
     def join(self, timeout_s: float) -> bool:
         """Wait for its end; False where it is still at a frame."""
-        if self._thread.ident is not None:
-            self._thread.join(max(0.0, timeout_s))
-        return not self._thread.is_alive()
-
-    @property
-    def running(self) -> bool:
-        """Whether the thread is alive."""
-        return self._thread.is_alive()
+        if self._thread.ident is None:
+            return True
+        # An interrupted Thread.join takes the thread for ended (CPython 3.11): wait for an event instead.
+        return self._done.wait(max(0.0, timeout_s))
 
     def _run(self) -> None:
         try:
@@ -109,6 +106,8 @@ class Worker:
             log.exception("the measuring thread ends by a mistake of its own")
             self.failure = error
             self._hand_over.close()
+        finally:
+            self._done.set()
 
     def _process(self, frame: Frame) -> None:
         age_s = (self._clock.monotonic_ns() - frame.received_ns) / 1e9

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import ipaddress
+import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -21,6 +22,10 @@ if TYPE_CHECKING:
     from service.vision.camera import Camera
 
 __all__ = ["FieldOrder", "MeasuringSettings", "SourceSettings", "Station", "ViewerSettings", "read_station"]
+
+
+DEVICE_KIND = re.compile(r"simulated($|[:?])|[a-z][a-z0-9+.-]+:")
+"""How the name of a device begins that is no path: as `open_grabber` takes it."""
 
 
 class FieldOrder(enum.StrEnum):
@@ -89,7 +94,7 @@ def read_station(path: Path) -> Station:
     measuring, viewer = t.table("measuring"), t.table("viewer")
     t.finish()
     return Station(
-        source=_source(source),
+        source=_source(source, path.parent),
         generator=_generator(generator, path.parent),
         camera=_camera(camera, path.parent),
         measuring=_measuring(measuring),
@@ -97,13 +102,13 @@ def read_station(path: Path) -> Station:
     )
 
 
-def _source(t: Table) -> SourceSettings:
+def _source(t: Table, folder: Path) -> SourceSettings:
     device = t.text("device")
     if not device.strip():
         raise t.error("device", 'must name a source: "simulated", a video, or a folder of pictures')
     controls = t.table("controls")
     settings = SourceSettings(
-        device=device,
+        device=device if DEVICE_KIND.match(device) else str(folder / device),
         input=t.text("input", None),
         standard=t.choice("standard", Standard, Standard.NONE),
         controls={name: controls.number(name) for name in controls.values},

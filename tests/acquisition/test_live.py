@@ -53,6 +53,15 @@ def test_a_lost_device_ends_it_with_the_reason_after_the_frames_before_it_are_an
     assert service.health().state == "lost"
 
 
+def test_it_ends_where_measuring_itself_breaks_down(monkeypatch):
+    service = make(idle())
+    monkeypatch.setattr(service._hand_over, "take", lambda _: 1 / 0)
+    with service:
+        service.start()
+        assert service.wait(PATIENCE_S)
+    assert isinstance(service.failure, ZeroDivisionError)
+
+
 def test_a_newest_wins_service_accounts_for_every_frame_of_a_faster_source():
     measurer = GatedMeasurer()
     service = LiveService(ScriptedGrabber(range(50)), lambda _: measurer)

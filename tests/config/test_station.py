@@ -44,7 +44,7 @@ def test_the_shipped_file_documents_every_key_in_place(tmp_path):
 
 def test_only_source_and_generator_are_needed(tmp_path):
     s = station(tmp_path, MINIMAL)
-    assert (s.source.device, s.generator.key, s.camera) == ("bowl.mp4", "system80", None)
+    assert (s.source.device, s.generator.key, s.camera) == (str(tmp_path / "bowl.mp4"), "system80", None)
 
 
 def test_files_are_taken_from_the_stations_own_folder(tmp_path, monkeypatch):
@@ -56,6 +56,22 @@ def test_files_are_taken_from_the_stations_own_folder(tmp_path, monkeypatch):
     s = station(tmp_path, MINIMAL.replace("system80", "g.toml") + '[camera]\nfile = "c.toml"\n')
     assert s.generator.key == "mine"
     assert s.camera.image_size_px == (640, 480)
+
+
+@pytest.mark.parametrize(
+    ("device", "opened"),
+    [
+        ("a/bowl.mp4", "FOLDER/a/bowl.mp4"),
+        ("/a/bowl.mp4", "/a/bowl.mp4"),
+        ("simulated", "simulated"),
+        ("simulated:51b?seed=3", "simulated:51b?seed=3"),
+        ("simulated.mp4", "FOLDER/simulated.mp4"),
+    ],
+)
+def test_a_device_is_a_kind_or_a_path_from_the_files_folder(tmp_path, device, opened):
+    assert station(tmp_path, MINIMAL.replace("bowl.mp4", device)).source.device == opened.replace(
+        "FOLDER", str(tmp_path)
+    )
 
 
 @pytest.mark.parametrize(

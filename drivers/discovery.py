@@ -1,0 +1,74 @@
+"""What capture and serial devices the machine has, by identities that survive a replug."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from serial.tools import list_ports
+
+if TYPE_CHECKING:
+    from serial.tools.list_ports_common import ListPortInfo
+
+__all__ = ["Device", "serial_ports", "video_devices"]
+
+VIDEO_CLASS = Path("/sys/class/video4linux")
+
+
+@dataclass(frozen=True, slots=True)
+class Device:
+    """A device that the system shows.
+
+    Attributes
+    ----------
+    node
+        Where it is now, such as /dev/video0. Another one after a replug.
+    name
+        What it calls itself.
+    identity
+        ``usb:VID:PID:SERIAL``, or ``usb:VID:PID@PORT`` where it has no serial number; where it is no USB device, the
+        path of its hardware in the system's tree.
+    """
+
+    node: str
+    name: str
+    identity: str
+
+
+def video_devices(video_class: Path = VIDEO_CLASS) -> list[Device]:
+    """Video nodes of the kernel, in the order of their numbers. Some devices have several, not all for capture."""
+    nodes = sorted(video_class.glob("video*"), key=lambda p: (len(p.name), p.name))
+    return [Device(f"/dev/{node.name}", _read(node / "name") or node.name, _identity(node)) for node in nodes]
+
+
+def _identity(node: Path) -> str:
+    hardware = (node / "device").resolve()
+    for folder in (hardware, *hardware.parents):
+        if vendor := _read(folder / "idVendor"):
+            number = _read(folder / "serial")
+            model = f"usb:{vendor}:{_read(folder / 'idProduct')}"
+            return f"{model}:{number}" if number else f"{model}@{folder.name}"
+    return str(hardware)
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8", errors="replace").strip()
+    except OSError:
+        return ""
+
+
+def serial_ports() -> list[Device]:
+    """Serial ports, in the order of their names; one that tells nothing of itself goes by its name."""
+    ports = sorted(list_ports.comports(), key=lambda port: port.device)
+    return [
+        Device(p.device, "serial port" if p.description == "n/a" else p.description, _port_identity(p)) for p in ports
+    ]
+
+
+def _port_identity(port: ListPortInfo) -> str:
+    if port.vid is None or port.pid is None:
+        return port.device if port.hwid == "n/a" else port.hwid
+    model = f"usb:{port.vid:04x}:{port.pid:04x}"
+    return f"{model}:{port.serial_number}" if port.serial_number else f"{model}@{port.location}"
