@@ -149,6 +149,7 @@ class ReplayGrabber(Grabber):
 
     def _do_close(self) -> None:
         self._recording = None
+        self._pending.clear()
         if self._pictures is not None:
             self._pictures.close()
             self._pictures = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -27,8 +28,9 @@ __all__ = ["VideoRecording"]
 
 ASSUMED_RATE_HZ = Fraction(25)
 PROBED_PACKETS = 500
-STEADY_AFTER = 8  # equal steps that make a recording a steady one
+STEADY_AFTER = 4  # equal steps that make a recording a steady one
 SLACK = 1.5  # a step longer than this many periods is a gap
+NUT_INDEX, NUT_TAIL = bytes.fromhex("4e58dd672f23e64e"), 12  # how the index begins; its length and checksum at its end
 
 
 class VideoRecording(Recording):
@@ -36,7 +38,8 @@ class VideoRecording(Recording):
 
     A picture that its decoder patched, and those built on it up to the next key frame, have a defect. Where a packet
     yields no picture, a blank one with a defect stands for it. A steady recording that skips a beat has lost pictures:
-    their numbers are left out.
+    their numbers are left out. What a codec has no check for stays unseen: FFV1 with checksums finds every changed
+    byte, H.264, MPEG-4 and MJPEG nearly every burst, raw video and ffvhuff none.
 
     Raises
     ------
@@ -65,9 +68,22 @@ class VideoRecording(Recording):
                 return av.open(str(self._path), metadata_errors="replace")
             except av.FFmpegError as error:
                 why = "is no video that can be read; check that it is the right file"
-                if any("moov atom not found" in text for text in complaints.texts):
+                if any("moov atom" in text for text in complaints.texts) and self._bytes(4, 4) == b"ftyp":
                     why = "is cut short: its index, written last, is missing; copy it again, or record to MKV"
                 raise UnsupportedFormatError(self.name, why) from error
+
+    def _bytes(self, at: int, count: int) -> bytes:
+        """Some bytes of the file; a negative place counts from its end."""
+        with self._path.open("rb") as file:
+            file.seek(at, os.SEEK_SET if at >= 0 else os.SEEK_END)
+            return file.read(count)
+
+    def is_finished(self, container: InputContainer) -> bool:
+        """Whether the file has the end that its container writes last; true where the container has none."""
+        if container.format.name != "nut" or self._path.stat().st_size < NUT_TAIL:
+            return True
+        length = int.from_bytes(self._bytes(-NUT_TAIL, 8), "big")
+        return 8 <= length <= self._path.stat().st_size and self._bytes(-length, 8) == NUT_INDEX
 
     def _first_pixels(self, container: InputContainer, stream: VideoStream) -> Pixels:
         for tried, step in enumerate(_decode(container, stream)):
@@ -184,7 +200,7 @@ class _Playback:
         yield from self._blanks_before(None)
 
     def _picture(self, frame: av.VideoFrame, step: _Step) -> Picture:
-        number, time_ns = self._place(frame.pts)
+        number, time_ns = self._place(frame.pts, jumped=bool(step.jumped))
         complaint = next(iter(step.complaints), "decoder: patched a damaged picture" if frame.is_corrupt else None)
         if complaint is not None:
             self._tainted = self._video.inter_coded
@@ -199,12 +215,12 @@ class _Playback:
         due = [s for s in self._failed if pts is None or s.pts is None or s.pts < pts]
         self._failed = [s for s in self._failed if s not in due]
         for step in sorted(due, key=lambda s: s.pts or 0):
-            number, time_ns = self._place(step.pts)
+            number, time_ns = self._place(step.pts, jumped=bool(step.jumped))
             yield Picture(number, time_ns, blank(self._video.format), step.complaints[0])
 
-    def _place(self, pts: int | None) -> tuple[int, int]:
+    def _place(self, pts: int | None, *, jumped: bool) -> tuple[int, int]:
         time_base = self._stream.time_base or Fraction(1)
-        time_ns, missing = self._beat.next(None if pts is None else round(pts * time_base * 10**9))
+        time_ns, missing = self._beat.next(None if pts is None else round(pts * time_base * 10**9), jumped=jumped)
         self._number += 1 + missing
         return self._number, time_ns
 
@@ -216,6 +232,8 @@ class _Playback:
             return f"{missing} packets are missing" if missing > 0 else None
         if end:
             return end[0]
+        if not video.is_finished(self._container):
+            return "its index, written last, is missing"
         if video.declared_end_s is not None and self._beat.end_s(SLACK) < video.declared_end_s:
             return f"{video.declared_end_s - self._beat.end_s(1):.2f} s are missing"
         return "its last packet is damaged" if self._last_damaged else None
@@ -231,9 +249,10 @@ class _Beat:
         self._shortest_ns, self._longest_ns, self._steps = 0, 0, 0
         self._trusted = True
 
-    def next(self, pts_ns: int | None) -> tuple[int, int]:
+    def next(self, pts_ns: int | None, *, jumped: bool) -> tuple[int, int]:
         """Time of the next picture and the number of pictures missing before it.
 
+        `jumped` says that the file's reader had to skip something here: then the average rate serves as the beat.
         Times that are absent or go back (an AVI with B-frames) are not believed: the average rate counts on.
         """
         if self._first_ns is None:
@@ -244,12 +263,13 @@ class _Beat:
         if not self._trusted:
             time_ns = self._last_ns + self._period_ns
         step_ns, self._last_ns = time_ns - self._last_ns, time_ns
-        return time_ns, self._missing(step_ns)
+        return time_ns, self._missing(step_ns, jumped=jumped)
 
-    def _missing(self, step_ns: int) -> int:
+    def _missing(self, step_ns: int, *, jumped: bool) -> int:
         steady = self._steps >= STEADY_AFTER and self._longest_ns < SLACK * self._shortest_ns
-        if steady and step_ns > SLACK * self._longest_ns:
-            return round(2 * step_ns / (self._shortest_ns + self._longest_ns)) - 1
+        beat_ns = (self._shortest_ns + self._longest_ns) / 2 if steady else self._period_ns
+        if (steady or jumped) and step_ns > SLACK * beat_ns:
+            return round(step_ns / beat_ns) - 1
         self._shortest_ns = min(step_ns, self._shortest_ns or step_ns)
         self._longest_ns = max(step_ns, self._longest_ns)
         self._steps += 1
