@@ -1,0 +1,257 @@
+"""The command line's words: every command, option and example. Imports nothing heavy, so that `--help` is quick."""
+
+from __future__ import annotations
+
+import argparse
+import difflib
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING, NoReturn
+
+from service import __version__
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+__all__ = ["COMMANDS", "UsageError", "parse"]
+
+GENERATORS = "delta60, model-f, 51b, system80, candu6, or a .toml file with one"
+
+
+class UsageError(Exception):
+    """The command line was used wrongly; the message says how, in one line."""
+
+
+class _Parser(argparse.ArgumentParser):
+    def error(self, message: str) -> NoReturn:
+        raise UsageError(f"{' '.join(message.split())}; see {self.prog} --help")
+
+
+def parse(arguments: Sequence[str]) -> argparse.Namespace:
+    """Read the command line; `command` names what to run.
+
+    Raises
+    ------
+    UsageError
+        It cannot be understood.
+    SystemExit
+        Help or the version was asked for, and printed.
+    """
+    parser, commands = _build()
+    given = next((a for a in arguments if not a.startswith("-")), None)
+    if given is not None and given not in commands:
+        raise UsageError(f"unknown command {given!r}; {_nearest(given, list(commands))}see bowlsight --help")
+    args, unknown = parser.parse_known_args(arguments, argparse.Namespace(verbose=False))
+    if unknown:
+        known = commands[args.command]
+        options = [o for action in known._actions for o in action.option_strings]  # noqa: SLF001 - has no public name
+        raise UsageError(f"unknown argument {unknown[0]!r}; {_nearest(unknown[0], options)}see {known.prog} --help")
+    return args
+
+
+def _nearest(given: str, known: Sequence[str]) -> str:
+    near = difflib.get_close_matches(given.partition("=")[0], known, 1, 0.6)
+    return f"did you mean {near[0]}? " if near else ""
+
+
+def _build() -> tuple[_Parser, dict[str, _Parser]]:
+    verbose = _Parser(add_help=False)
+    verbose.add_argument(
+        "-v",
+        "--verbose",
+        action="store_true",
+        default=argparse.SUPPRESS,  # given before the command, it must not be undone by the command's default
+        help="say more while it runs, with tracebacks of what went wrong",
+    )
+    parser = _Parser(
+        prog="bowlsight",
+        parents=[verbose],
+        description="Measure where a steam generator's tubes are in a picture, and how the camera stands to them.",
+        epilog="example:\n  bowlsight demo\n\nexit status:\n"
+        "  0 done   1 it ran and found a problem   2 wrong use, configuration or unreadable input",
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        allow_abbrev=False,
+    )
+    parser.add_argument("--version", action="version", version=f"bowlsight {__version__}")
+    adder = parser.add_subparsers(title="commands", dest="command", metavar="COMMAND", required=True)
+    commands: dict[str, _Parser] = {}
+    for name, (summary, example, options) in COMMANDS.items():
+        commands[name] = adder.add_parser(
+            name,
+            parents=[verbose],
+            help=summary,
+            description=f"{summary[0].upper()}{summary[1:]}.",
+            epilog=f"example:\n  bowlsight {name} {example}".rstrip(),
+            formatter_class=argparse.RawDescriptionHelpFormatter,
+            allow_abbrev=False,
+        )
+        options(commands[name])
+    return parser, commands
+
+
+# -- kinds of values ---------------------------------------------------------------------------------------------------
+
+
+def _above_zero(text: str) -> float:
+    value = _number(text)
+    if not 0 < value < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} must be a number above 0")
+    return value
+
+
+def _speed(text: str) -> float:
+    if text == "max":
+        return math.inf
+    value = _number(text)
+    if not 0.01 <= value <= 1000:
+        raise argparse.ArgumentTypeError(f"{text!r} must be max, or a factor from 0.01 to 1000")
+    return value
+
+
+def _number(text: str) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
+
+
+def _whole(minimum: int, maximum: int) -> Callable[[str], int]:
+    def read(text: str) -> int:
+        if not text.isascii() or not text.isdigit() or not minimum <= int(text) <= maximum:
+            raise argparse.ArgumentTypeError(f"{text!r} must be a whole number from {minimum} to {maximum}")
+        return int(text)
+
+    return read
+
+
+def _recording(text: str) -> Path:
+    path = Path(text)
+    if path.suffix != ".rrd":
+        raise argparse.ArgumentTypeError(f"{text!r} must end in .rrd")
+    return path
+
+
+# -- options that several commands share -------------------------------------------------------------------------------
+
+
+def _generator(p: _Parser, *, required: bool) -> None:
+    default = "" if required else "; default: the station file's"
+    p.add_argument("--generator", metavar="NAME", required=required, help=f"steam generator: {GENERATORS}{default}")
+
+
+def _camera(p: _Parser) -> None:
+    p.add_argument(
+        "--camera", metavar="FILE", type=Path, help="camera file; without one, all but the pixels is estimated"
+    )
+
+
+def _field_order(p: _Parser) -> None:
+    p.add_argument(
+        "--field-order",
+        choices=("auto", "progressive", "top", "bottom"),
+        help="interlaced video: decide from the pictures (auto), never split, or which field comes first",
+    )
+
+
+def _viewer(p: _Parser) -> None:
+    p.add_argument("--no-viewer", action="store_true", help="serve no viewer")
+    p.add_argument("--open", action="store_true", help="open the viewer in a browser")
+    p.add_argument("--port", type=_whole(1, 65535), help="the viewer's port on this machine")
+    p.add_argument("--save", metavar="FILE.rrd", type=_recording, help="record what the viewer shows")
+    p.add_argument("--seconds", metavar="N", type=_above_zero, help="stop after N seconds")
+
+
+def _station(p: _Parser) -> None:
+    p.add_argument(
+        "--config", metavar="FILE", type=Path, help="station file; default: config/station.toml, or the one shipped"
+    )
+
+
+# -- the commands ------------------------------------------------------------------------------------------------------
+
+
+def _demo(p: _Parser) -> None:
+    _viewer(p)
+
+
+def _run(p: _Parser) -> None:
+    _station(p)
+    _viewer(p)
+
+
+def _replay(p: _Parser) -> None:
+    p.add_argument("path", metavar="PATH", type=Path, help="a video, or a folder of pictures")
+    p.add_argument(
+        "--speed", metavar="FACTOR|max", type=_speed, default=1.0, help="pace; at max every frame is measured"
+    )
+    p.add_argument("--loop", action="store_true", help="begin again at the end")
+    _generator(p, required=False)
+    _camera(p)
+    _field_order(p)
+    _station(p)
+    _viewer(p)
+
+
+def _analyze(p: _Parser) -> None:
+    p.add_argument(
+        "paths", metavar="PATH", nargs="+", type=Path, help="a picture, a video, or a folder of pictures in their order"
+    )
+    _generator(p, required=True)
+    _camera(p)
+    _field_order(p)
+    p.add_argument("--jsonl", metavar="FILE|-", help="a JSON line a picture; - for standard output, without the table")
+    p.add_argument("--csv", metavar="FILE", type=Path, help="a row a picture, for spreadsheets")
+
+
+def _compare(p: _Parser) -> None:
+    p.add_argument("picture", metavar="PICTURE", type=Path, help="a picture of a tubesheet")
+    _generator(p, required=True)
+    _camera(p)
+    p.add_argument("--json", metavar="FILE|-", help="the figures as JSON; - for standard output, without the table")
+
+
+def _calibrate(p: _Parser) -> None:
+    p.add_argument("--points", metavar="FILE", type=Path, required=True, help='lines of "xw yw zw Xf Yf", mm and px')
+    p.add_argument(
+        "--camera", metavar="FILE", type=Path, required=True, help="camera file: picture size and pixel pitch"
+    )
+    p.add_argument(
+        "--method", choices=("tsai", "full"), default="tsai", help="Tsai's coplanar method, or all parameters"
+    )
+    p.add_argument("--json", metavar="FILE|-", help="the figures as JSON; - for standard output, without the report")
+
+
+def _simulate(p: _Parser) -> None:
+    p.add_argument("out", metavar="OUT", type=Path, help="video to write; its truth goes beside it, as .json")
+    _generator(p, required=True)
+    p.add_argument("--seed", type=_whole(0, 2**32 - 1), default=0, help="another number, another video")
+    p.add_argument("--frames", type=_whole(1, 100_000), default=125, help="its length")
+
+
+def _devices(p: _Parser) -> None:
+    del p
+
+
+COMMANDS: dict[str, tuple[str, str, Callable[[_Parser], None]]] = {
+    "demo": ("play the bundled bowl video through the live service", "--open", _demo),
+    "run": ("grab, measure and show, live, as the station file says", "--config config/station.toml", _run),
+    "replay": ("play a recording through the live service", "bowl.mp4 --generator model-f --loop", _replay),
+    "analyze": (
+        "measure pictures and videos, every frame, without a viewer",
+        "bowl.mp4 --generator model-f --camera camera.toml --jsonl out.jsonl",
+        _analyze,
+    ),
+    "compare": (
+        "compare the five ways to find a tube's centre, on one picture",
+        "bowl.png --generator system80 --camera camera.toml",
+        _compare,
+    ),
+    "calibrate": (
+        "calibrate a camera from points whose places are known",
+        "--points points.dat --camera camera.toml --method full",
+        _calibrate,
+    ),
+    "simulate": ("render a bowl video with its truth", "bowl.mkv --generator model-f --seed 7", _simulate),
+    "devices": ("list the sources and devices of this machine", "", _devices),
+}
+"""Name: what it does, an example of its arguments, its options. Module `service.cli.NAME` runs it."""

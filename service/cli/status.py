@@ -1,0 +1,91 @@
+"""The live service in words: the status line and the summary."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from service.acquisition.health import AcquisitionState
+from service.vision.measurement import Lock, Origin
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from service.acquisition.health import Health, Percentiles
+    from service.acquisition.worker import Answer
+    from service.vision.measurement import Measurement
+
+__all__ = ["status_parts", "summary_lines"]
+
+
+def status_parts(kind: str, health: Health, latest: Answer | None) -> list[str]:
+    """Parts of the status line, the most important first; `kind` is LIVE, REPLAY or SIMULATED."""
+    parts = [_state(kind, health)]
+    if latest is not None:
+        measurement = latest.results[-1].measurement
+        stale = health.state in (AcquisitionState.STALLED, AcquisitionState.LOST, AcquisitionState.FAULTED)
+        parts += [f"last: {p}" if stale and i == 0 else p for i, p in enumerate(_measured(measurement))]
+        parts.append(f"latency {latest.latency_ms:.0f} ms")
+    account = health.account
+    parts.append(f"{account.dropped:,} dropped")
+    if bad := account.corrupt + account.failed:
+        parts.append(f"{bad:,} bad")
+    if account.unaccounted:
+        parts.append(f"{account.unaccounted:,} UNACCOUNTED")
+    return parts
+
+
+def _state(kind: str, health: Health) -> str:
+    match health.state:
+        case AcquisitionState.RUNNING:
+            return f"{kind} {health.capture_fps:.1f} fps"
+        case AcquisitionState.DEGRADED:
+            return f"{kind} {health.capture_fps:.1f} fps, BAD FRAME"
+        case AcquisitionState.STALLED if health.silent_s is not None:
+            return f"{kind} STALLED: no frame for {health.silent_s:.1f} s"
+        case AcquisitionState.STALLED:
+            return f"{kind} STALLED: no frame yet"
+        case state:
+            return f"{kind} {state}"
+
+
+def _measured(m: Measurement) -> list[str]:
+    if m.pose is None:
+        return [f"lock none: {m.reason}"]
+    doubt = f" ({', '.join(m.doubt)} in doubt)" if m.lock is Lock.PARTIAL else ""
+    measured = sum(o == Origin.MEASURED for o in m.tubes.origin.tolist())
+    s = m.pose.sigma
+    return [
+        f"lock {m.lock}{doubt}",
+        f"{measured} tubes measured + {len(m.tubes) - measured} inferred",
+        f"distance {m.pose.distance_mm:.2f} ±{s.distance_mm:.2f} mm",
+        f"tilt {m.pose.tilt_deg:.2f} ±{s.tilt_deg:.2f} deg",
+    ]
+
+
+def summary_lines(health: Health, seconds: float, ended_by: str) -> list[str]:
+    """What to print at the end: the ledger, the locks, the times, the sinks."""
+    numbers, fates = health.account.lines()
+    lines = [
+        f"{ended_by} after {seconds:.1f} s",
+        f"  frames    {numbers}",
+        f"            {fates}",
+        f"  lock      {_locks(health.locks)}",
+        f"  timing    latency {_ms(health.latency_ms)}, age when measured {_ms(health.age_ms)}",
+    ]
+    if health.overflowed:
+        lines.append(f"  recorder  {health.overflowed:,} frames found no room")
+    for name, s in health.sinks.items():
+        waiting = f", {s.depth:,} waiting" if s.depth else ""
+        lines.append(f"  {name:9} {s.accepted:,} frames, {s.dropped:,} dropped, {s.failed:,} failed{waiting}")
+    return lines
+
+
+def _locks(locks: Mapping[str, int]) -> str:
+    counts = ", ".join(f"{locks.get(lock, 0):,} {lock}" for lock in Lock)
+    return f"{counts} of {sum(locks.values()):,} pictures"
+
+
+def _ms(p: Percentiles) -> str:
+    if p.p50 is None or p.p99 is None:
+        return "unknown"
+    return f"p50 {p.p50:.1f} ms, p99 {p.p99:.1f} ms"

@@ -1,0 +1,74 @@
+from dataclasses import replace
+
+import pytest
+
+from service.acquisition.health import AcquisitionState, Health, Percentiles
+from service.acquisition.ledger import Account
+from service.acquisition.worker import Answer
+from service.cli.status import status_parts, summary_lines
+from service.sinks.base import SinkStats
+from service.vision.measurement import Lock
+from tests.fakes.results import make_result
+from tests.fakes.scripted import make_frame
+
+HEALTH = Health(
+    state=AcquisitionState.RUNNING, generation=1, capture_fps=25.0, result_fps=24.9, silent_s=0.02,
+    age_ms=Percentiles(0.2, 1.1), latency_ms=Percentiles(8.0, 12.5), waiting=0, overflowed=0,
+    account=Account(span=103, delivered=100, lost=3, processed=98, superseded=2),
+    locks={"full": 90, "none": 8}, sinks={"viewer": SinkStats(98, 4, 1, 2)},
+)  # fmt: skip
+
+
+def line(health=HEALTH, **result):
+    return " | ".join(status_parts("LIVE", health, Answer(make_frame(), (make_result(**result),), 8.4)))
+
+
+def test_it_tells_every_figure_with_unit_and_sigma():
+    assert line() == (
+        "LIVE 25.0 fps | lock full | 3 tubes measured + 2 inferred | distance 1000.00 ±0.20 mm | tilt 5.00 ±0.05 deg"
+        " | latency 8 ms | 5 dropped"
+    )
+
+
+def test_a_doubt_and_a_reason_are_said():
+    assert "lock partial (index in doubt)" in line(lock=Lock.PARTIAL)
+    assert line(lock=Lock.NONE, reason="too dark") == "LIVE 25.0 fps | lock none: too dark | latency 8 ms | 5 dropped"
+
+
+@pytest.mark.parametrize(
+    ("state", "silent_s", "start"),
+    [
+        ("degraded", 0.1, "LIVE 25.0 fps, BAD FRAME | lock full"),
+        ("stalled", 2.34, "LIVE STALLED: no frame for 2.3 s | last: lock full"),
+        ("stalled", None, "LIVE STALLED: no frame yet | last: lock full"),
+        ("lost", 0.1, "LIVE lost | last: lock full"),
+        ("opening", None, "LIVE opening"),
+    ],
+)
+def test_what_is_not_live_is_not_called_so(state, silent_s, start):
+    assert line(replace(HEALTH, state=AcquisitionState(state), silent_s=silent_s)).startswith(start)
+
+
+def test_before_the_first_answer_there_is_only_the_state():
+    assert status_parts("REPLAY", replace(HEALTH, account=Account()), None) == ["REPLAY 25.0 fps", "0 dropped"]
+
+
+def test_bad_and_missing_frames_are_not_kept_quiet():
+    account = replace(HEALTH.account, corrupt=3, failed=1, processed=93)
+    assert line(replace(HEALTH, account=account)).endswith("5 dropped | 4 bad | 1 UNACCOUNTED")
+
+
+def test_the_summary_accounts_for_frames_locks_times_and_sinks():
+    text = "\n".join(summary_lines(HEALTH, 4.02, "stopped"))
+    assert text.startswith("stopped after 4.0 s")
+    for words in (
+        "103 numbered by the source = 100 delivered + 3 lost",
+        "every frame accounted for",
+        "90 full, 0 partial, 8 none of 98 pictures",
+        "latency p50 8.0 ms, p99 12.5 ms",
+        "viewer    98 frames, 4 dropped, 1 failed, 2 waiting",
+    ):
+        assert words in text
+    assert "recorder" not in text
+    assert "7 frames found no room" in "\n".join(summary_lines(replace(HEALTH, overflowed=7), 1, "ended"))
+    assert "latency unknown" in "\n".join(summary_lines(replace(HEALTH, latency_ms=Percentiles()), 1, "ended"))
