@@ -127,12 +127,13 @@ class LiveService:
         return self._acquisition.join(deadline - time.monotonic())
 
     def stop(self, timeout_s: float = STOP_S) -> None:
-        """Stop from any state: ask the threads to end, wait for them, flush the sinks. May be repeated."""
-        deadline = time.monotonic() + timeout_s
+        """Stop from any state: end capture, measure what waits if there is time, flush the sinks. May be repeated."""
+        deadline, threads_s = time.monotonic() + timeout_s, timeout_s - SINKS_SHARE_S
         self._acquisition.request_stop()
-        if self._worker is not None:
-            self._worker.request_stop()
+        self._acquisition.join(threads_s / 3)
         self._hand_over.close()
+        if self._worker is not None and not self._worker.join(threads_s / 3):
+            self._worker.request_stop()
         for part, name in ((self._acquisition, "the acquisition thread"), (self._worker, "the measuring thread")):
             if part is not None and not part.join(deadline - SINKS_SHARE_S - time.monotonic()):
                 self._note_stuck(name)

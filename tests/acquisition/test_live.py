@@ -1,4 +1,6 @@
+import itertools
 import sys
+import threading
 import time
 
 import cv2
@@ -132,6 +134,22 @@ class TestStopping:
         self.stop(service)
         assert service.stuck == []
         assert service.health().state == "closed"
+
+    @pytest.mark.parametrize("every_frame", [False, True])
+    def test_what_waits_is_still_measured(self, every_frame):
+        measurer, release = GatedMeasurer(), threading.Event()
+        grabber = ScriptedGrabber(itertools.chain(range(3), idle()))
+        service = LiveService(grabber, lambda _: measurer, every_frame=every_frame)
+        service.start()
+        assert measurer.entered.acquire(timeout=PATIENCE_S)
+        while grabber.counters.completed < 3:
+            release.wait(0.001)
+        measurer.let(3)
+        self.stop(service)
+        account = service.health().account
+        assert account.in_flight == 0
+        assert account.processed + account.superseded == 3
+        assert service.stuck == []
 
     def test_while_the_queue_is_full_and_the_worker_busy(self):
         measurer = GatedMeasurer()
