@@ -156,7 +156,8 @@ def _field_order(p: _Parser) -> None:
 def _viewer(p: _Parser) -> None:
     p.add_argument("--no-viewer", action="store_true", help="serve no viewer")
     p.add_argument("--open", action="store_true", help="open the viewer in a browser")
-    p.add_argument("--port", type=_whole(1, 65535), help="the viewer's port on this machine")
+    p.add_argument("--port", metavar="N", type=_whole(1, 65535), help="the viewer's data port; default: a free one")
+    p.add_argument("--web-port", metavar="N", type=_whole(1, 65535), help="its page's port; default: a free one")
     p.add_argument("--save", metavar="FILE.rrd", type=_recording, help="record what the viewer shows")
     p.add_argument("--seconds", metavar="N", type=_above_zero, help="stop after N seconds")
 

@@ -67,11 +67,12 @@ class MeasuringSettings:
 
 @dataclass(frozen=True, slots=True)
 class ViewerSettings:
-    """[viewer]."""
+    """[viewer]: a port that is None is rerun's usual one, or the next that is free."""
 
     enabled: bool = True
     address: str = "127.0.0.1"
-    port: int = 9876
+    port: int | None = None
+    web_port: int | None = None
     open_browser: bool = False
     memory_mib: int = 256
 
@@ -156,6 +157,7 @@ def _viewer(t: Table) -> ViewerSettings:
         enabled=t.flag("enabled", default.enabled),
         address=address,
         port=t.integer("port", default.port, minimum=1, maximum=65535),
+        web_port=t.integer("web_port", default.web_port, minimum=1, maximum=65535),
         open_browser=t.flag("open_browser", default.open_browser),
         memory_mib=t.integer("memory_mib", default.memory_mib, minimum=16, maximum=65536),
     )

@@ -36,6 +36,7 @@ def test_the_shipped_file_documents_every_key_in_place(tmp_path):
     s = station(tmp_path, everything)
     assert s.source == SourceSettings("simulated", "S-Video 1", controls={"brightness": 128, "contrast": 64})
     assert isinstance(s.camera, Camera)
+    assert (s.viewer.port, s.viewer.web_port) == (9876, 9090)
     lines = everything.splitlines()
     for key in (i for i, line in enumerate(lines) if " = " in line and not line.startswith("#")):
         above = next(line for line in reversed(lines[:key]) if " = " not in line and line.strip())
