@@ -47,7 +47,7 @@ class FrameMeasurer:
     measurer
         Vision.
     field
-        What to take every frame for instead of what its source says of it; None: as the source says.
+        What to take whole frames for instead of what their source says of them; None: as the source says.
     clock
         Times the rate of repeated warnings.
     """
@@ -69,7 +69,7 @@ class FrameMeasurer:
             measurements = [_nothing(frame, f"bad frame: {frame.defect}")]
         else:
             try:
-                measurements = self._measurer.measure(frame.pixels, frame.timestamp_ns, self._field or frame.field)
+                measurements = self._measurer.measure(frame.pixels, frame.timestamp_ns, self._field_of(frame))
             except Exception as error:  # noqa: BLE001 - a mistake in measuring one frame must not end the watch
                 said = f"{type(error).__name__}: {error}"
                 self._log.warning(
@@ -81,6 +81,10 @@ class FrameMeasurer:
         return tuple(
             FrameResult(frame.source, sequence, frame.timestamp_ns, frame.generation, m) for m in measurements
         ), outcome
+
+    def _field_of(self, frame: Frame) -> Field:
+        alone = frame.field in (Field.TOP, Field.BOTTOM)
+        return frame.field if alone or self._field is None else self._field
 
 
 def _nothing(frame: Frame, reason: str) -> Measurement:

@@ -30,11 +30,14 @@ def test_a_reopened_source_starts_from_nothing():
     assert measurer.resets == 2
 
 
-def test_the_field_order_asked_for_overrules_the_source():
+def test_the_field_order_asked_for_overrules_the_source_but_for_single_fields():
     measurer = FakeMeasurer()
     FrameMeasurer(measurer, None, ManualClock()).answer(make_frame(0, field=Field.UNKNOWN))
-    FrameMeasurer(measurer, Field.INTERLACED_TOP_FIRST, ManualClock()).answer(make_frame(0, field=Field.UNKNOWN))
-    assert [field for _, _, field in measurer.calls] == ["unknown", "interlaced-top-first"]
+    ordered = FrameMeasurer(measurer, Field.INTERLACED_TOP_FIRST, ManualClock())
+    for field in (Field.UNKNOWN, Field.PROGRESSIVE, Field.BOTTOM):
+        ordered.answer(make_frame(0, field=field))
+    fields = [field for _, _, field in measurer.calls]
+    assert fields == ["unknown", "interlaced-top-first", "interlaced-top-first", "bottom"]
 
 
 def test_a_bad_field_is_answered_as_that_field():
