@@ -94,6 +94,15 @@ class Camera:
             covariance=self.covariance * np.outer(halves, halves),
         )
 
+    def of_frame(self, known: Camera, parity: int | None) -> Camera:
+        """What was found of a picture's camera, in terms of the full frame whose camera is `known`; see `of_field`."""
+        point = self.principal_point_px
+        if parity is not None and point is not None:
+            point = point[0], 2 * point[1] + parity
+        return replace(
+            known, focal_length_mm=self.focal_length_mm, lens=self.lens, sx=self.sx, principal_point_px=point
+        )
+
 
 def lens_vector(
     fx: float, fy: float, center_px: tuple[float, float], lens: TsaiLens | OpenCVLens | None, focal_length_mm: float

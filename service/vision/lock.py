@@ -1,0 +1,86 @@
+"""Whether a pose is to be believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from service.vision.refinement import accepted
+from service.vision.rims import sample_rims, solve_rims
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from service.vision.lattice import Lattice
+    from service.vision.refinement import Refined
+
+    Array: TypeAlias = NDArray[np.float64]
+    Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+__all__ = ["Proof", "prove"]
+
+LEAST_SHARE = 0.12
+"""Least share of the places in the picture that must show a tube; half-dark pictures show a quarter."""
+LEAST_TUBES = 8
+MOST_DECOYS = 0.2
+"""Most tubes that may be "seen" between the tubes, as a share of those seen in their places."""
+MOST_STRAY = 3.0
+"""Most that centres may stray beyond what they and the tubes' scatter explain."""
+MOST_OFFSET = 0.3
+"""Most that the edge may lie off the nominal rim, in rim radii: more means a wrong scale."""
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """What speaks for a pose.
+
+    Attributes
+    ----------
+    share
+        Tubes measured, of the places that lie in the picture.
+    decoys
+        Tubes that the same test would find between the places, of those measured: on a wrong lattice, many.
+    reason
+        None, or in words why it is not believed.
+    """
+
+    share: float
+    decoys: float
+    reason: str | None
+
+
+def prove(image: Image, refined: Refined, lattice: Lattice) -> Proof:
+    """Test a refined pose against the picture, between the tubes as well as on them."""
+    fit = refined.fit
+    vector = fit.camera.vector()
+    measured = int(refined.used.sum())
+    share = measured / len(refined.sites)
+    a1, a2 = lattice.basis_mm
+    between = a1 / 2, (a1 + a2) / (2 if lattice.arrangement.symmetry == 4 else 3)
+    found = 0
+    usual = float(np.median(refined.rims.radius_px[refined.used]))
+    for offset in between:
+        places = refined.sites.sheet_mm[refined.used] + offset
+        rims = solve_rims(
+            sample_rims(image, vector, fit.rotation, fit.translation_mm, places, lattice, refined.profile)
+        )
+        found = max(found, int(accepted(rims, refined.profile.width_px, usual).sum()))
+    decoys = found / measured
+    return Proof(share, decoys, _reason(refined, lattice, measured, share, decoys))
+
+
+def _reason(refined: Refined, lattice: Lattice, measured: int, share: float, decoys: float) -> str | None:
+    radius_px = lattice.rim_radius_mm * float(np.median(np.linalg.norm(refined.place[:, 0, :2], axis=1)))
+    if measured < LEAST_TUBES:
+        return f"only {measured} tubes are seen"
+    if share < LEAST_SHARE:
+        return f"only {100 * share:.0f} % of the tubes are seen"
+    if decoys > MOST_DECOYS:
+        return "the pattern does not fit the tube lattice"
+    if refined.fit.scatter_factor > MOST_STRAY:
+        return "tube centres do not fit the lattice"
+    if abs(refined.profile.position_px) > MOST_OFFSET * radius_px:
+        return "tube ends are not of the expected size"
+    return None

@@ -1,0 +1,192 @@
+"""The per-picture pipeline: find or follow the sheet, measure its tubes, say what is known and how well."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeAlias, cast
+
+import cv2
+import numpy as np
+
+from service.vision.camera import Camera, TsaiLens
+from service.vision.estimates import pose_of, tubes_of
+from service.vision.fields import Interlace, Scan
+from service.vision.lattice import Arrangement, Lattice
+from service.vision.measurement import Doubt, Lock, Measurement, Tubes
+from service.vision.projection import project
+from service.vision.stopwatch import Stopwatch
+from service.vision.tracking import Tracker
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from service.vision.measurement import Pose
+    from service.vision.refinement import Refined
+    from service.vision.tracking import Seen
+
+    Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+__all__ = ["Measurer", "warm_up"]
+
+PARITY = {"top": 0, "bottom": 1}
+FRAME = -1
+UNSURE_SCALE = 0.02
+BLURRED, BLURRED_PX = 0.2, 2.5
+"""Edges wider than this share of a rim's radius, and than so many px, are out of focus."""
+DIM_SHARE = 0.25
+STALE = 2.0
+"""Centres that stray twice as far as they and the tubes' scatter explain speak against the calibration."""
+USUAL_PERIOD_NS = 40_000_000
+"""Frame period before two frames have told it."""
+LONGEST_PERIOD_NS = 200_000_000
+
+
+class Measurer:
+    """Measures one stream of pictures, with a memory from picture to picture.
+
+    Parameters
+    ----------
+    camera
+        The full frame's camera, as far as it is known.
+    lattice
+        The tubesheet.
+    tick
+        Nanoseconds, for the times that stages took.
+    """
+
+    def __init__(self, camera: Camera, lattice: Lattice, tick: Callable[[], int]) -> None:
+        self._camera, self._lattice, self._tick = camera, lattice, tick
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what earlier pictures showed."""
+        self._tracker = Tracker(self._camera, self._lattice)
+        self._interlace = Interlace()
+        self._time_ns: int | None = None
+        self._period_ns = USUAL_PERIOD_NS
+
+    def measure(self, pixels: Image, time_ns: int, field: str = "unknown") -> list[Measurement]:
+        """Measure a picture.
+
+        Parameters
+        ----------
+        pixels
+            (h, w) grey, 8 or 16 bit: a frame, or the lines of one field.
+        time_ns
+            When it was exposed; for an interlaced frame, its first field.
+        field
+            progressive | interlaced-top-first | interlaced-bottom-first | top | bottom, or unknown: then the pictures
+            decide.
+
+        Returns
+        -------
+        list
+            One answer, or one for each field in the order of time.
+        """
+        self._clocked(time_ns)
+        if field in PARITY:
+            return [self._answer(packed(pixels), PARITY[field], time_ns)]
+        if field == "progressive":
+            return [self._answer(packed(pixels), None, time_ns)]
+        if field.startswith("interlaced"):
+            return self._fields(pixels, time_ns, top_first=field == "interlaced-top-first")
+        if self._interlace.scan is Scan.PROGRESSIVE:
+            return [self._answer(packed(pixels), None, time_ns)]
+        if self._interlace.scan is Scan.INTERLACED:
+            return self._fields(pixels, time_ns, top_first=self._interlace.top_first)
+        return self._undecided(pixels, time_ns)
+
+    def _clocked(self, time_ns: int) -> None:
+        """Learn the frame period."""
+        if self._time_ns is not None and 0 < time_ns - self._time_ns < LONGEST_PERIOD_NS:
+            self._period_ns = time_ns - self._time_ns
+        self._time_ns = time_ns
+
+    def _fields(self, pixels: Image, time_ns: int, *, top_first: bool) -> list[Measurement]:
+        """Answer for each field, in the order of time."""
+        seen: dict[int, Seen] = {}
+        answers = []
+        for later, parity in enumerate((0, 1) if top_first else (1, 0)):
+            at = time_ns + later * self._period_ns // 2
+            answers.append(self._answer(packed(pixels[parity::2]), parity, at, seen))
+        self._interlace.ordered(seen[0].refined, seen[1].refined)
+        return answers
+
+    def _undecided(self, pixels: Image, time_ns: int) -> list[Measurement]:
+        """Answer for a frame of which nobody knows whether it is interlaced, and find that out."""
+        whole, before = packed(pixels), self._tracker
+        self._tracker = before.copy()
+        seen: dict[int, Seen] = {}
+        answer = self._answer(whole, None, time_ns, seen)
+        top, bottom = self._both_fields(whole, seen[FRAME].refined, before, time_ns)
+        self._interlace.compared(seen[FRAME].refined, top, bottom, self._tracker.motion_px(self._period_ns))
+        if self._interlace.scan is not Scan.INTERLACED or top is None:
+            return [answer]
+        self._tracker = before.copy()
+        self._tracker.follow(top, 0, time_ns)
+        return self._fields(pixels, time_ns, top_first=self._interlace.top_first)
+
+    def _both_fields(
+        self, whole: Image, refined: Refined | None, before: Tracker, time_ns: int
+    ) -> tuple[Refined | None, Refined | None]:
+        """Measure top and bottom field, each about the frame's pose; where that shows none, one about the other."""
+        tracker = before.copy()
+        if refined is not None:
+            tracker.follow(refined, None, time_ns)
+        seen = []
+        for parity in (0, 1):
+            field = packed(whole[parity::2])
+            seen.append(tracker.step(field, parity, time_ns, Stopwatch(self._tick)).refined)
+        return seen[0], seen[1]
+
+    def _answer(
+        self, image: Image, parity: int | None, time_ns: int, seen: dict[int, Seen] | None = None
+    ) -> Measurement:
+        """Measure one picture and say what is known of it."""
+        watch = Stopwatch(self._tick)
+        found = self._tracker.step(image, parity, time_ns, watch)
+        if seen is not None:
+            seen[FRAME if parity is None else parity] = found
+        name = "progressive" if parity is None else ("top", "bottom")[parity]
+        if found.refined is None:
+            return Measurement(name, Lock.NONE, found.reason, (), Tubes.none(), None, time_ns, watch.elapsed_ms())
+        pose = pose_of(found.refined, self._lattice, self._camera, parity)
+        tubes = tubes_of(found.refined, self._lattice, parity)
+        doubt = doubts(found.refined, pose, self._lattice)
+        lock = Lock.PARTIAL if doubt else Lock.FULL
+        watch.lap("pose")
+        return Measurement(name, lock, None, doubt, tubes, pose, time_ns, watch.elapsed_ms())
+
+
+def doubts(refined: Refined, pose: Pose, lattice: Lattice) -> tuple[Doubt, ...]:
+    """What a locked pose is unsure of."""
+    radius = lattice.rim_radius_mm * float(np.median(np.linalg.norm(refined.place[:, 0, :2], axis=1)))
+    found = {
+        Doubt.SCALE: pose.sigma.distance_mm > UNSURE_SCALE * pose.distance_mm,
+        Doubt.FOCUS: refined.profile.width_px > max(BLURRED * radius, BLURRED_PX),
+        Doubt.LIGHT: refined.used.mean() < DIM_SHARE,
+        Doubt.CALIBRATION: refined.fit.scatter_factor > STALE,
+    }
+    return tuple(doubt for doubt, there in found.items() if there)
+
+
+def packed(pixels: Image) -> Image:
+    """The same pixels without gaps between rows, as kernels take them."""
+    return cast("Image", np.ascontiguousarray(pixels))
+
+
+def warm_up(tick: Callable[[], int]) -> None:
+    """Compile every kernel, or load it from the cache of an earlier run: before the first frame, never in its way."""
+    lattice = Lattice(Arrangement.TRIANGULAR, 25.4, 8.4, 9.5)
+    camera = Camera((320, 240), (0.01, 0.01), 8.0, TsaiLens(), (159.5, 119.5))
+    rows, columns = np.mgrid[-8:9, -8:9]
+    sheet = lattice.sheet_points(rows.ravel(), columns.ravel())
+    picture = np.full((240, 320), 160, np.uint8)
+    for x, y in project(camera.vector(), np.eye(3), np.array([0.0, 0.0, 700.0]), sheet):
+        cv2.circle(picture, (round(16 * x), round(16 * y)), round(16 * 9.6), 20, -1, cv2.LINE_AA, 4)
+    for pixels in (picture, picture.astype(np.uint16) * np.uint16(257)):
+        measurer = Measurer(camera, lattice, tick)
+        for k in range(3):
+            measurer.measure(pixels, k * USUAL_PERIOD_NS)
+    Measurer(Camera((320, 240), (0.01, 0.01)), lattice, tick).measure(picture, 0)

@@ -1,0 +1,238 @@
+"""From a rough pose to the measured one: rims, robust solution, and what the picture's light shifts in common."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from service.vision.pose import Fit, fit_pose, linearise
+from service.vision.rims import (
+    EdgeProfile,
+    Rims,
+    RimSamples,
+    profile_of,
+    sample_rims,
+    solve_feet,
+    solve_rims,
+    start_profile,
+)
+from service.vision.sites import Sites, sites_in_picture
+from service.vision.states import tube_states
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from service.vision.camera import Camera
+    from service.vision.lattice import Lattice
+    from service.vision.pose import Prior
+    from service.vision.stopwatch import Stopwatch
+
+    Array: TypeAlias = NDArray[np.float64]
+    Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+__all__ = ["EdgeBias", "Refined", "accepted", "projected", "refine"]
+
+LEAST_STRENGTH = 2.5
+"""Edges weaker than this are noise: 2 % of bare plate passes, fewer once radius and place must fit too."""
+LEAST_RAYS = 0.4
+LEAST_TUBES = 6
+"""Fewer measured tubes do not make a pose worth telling."""
+NARROWING = 0.36
+"""Most that the search narrows from pass to pass."""
+LIKELY_WIDTH_PX = 1.2
+"""Width to go on with where no clear edge tells it."""
+BIAS_STRENGTH = 3.1
+BIAS_TUBES = 8
+BIAS_PRIOR_MM = (0.25, 0.25, 1.8)
+"""One sigma of the common shift (x, y) and of the edges' apparent depth before a picture says anything."""
+BIAS_FLOOR_MM = (0.01, 0.01, 0.05)
+"""What the correction leaves at the least, measured on truth."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EdgeBias:
+    """What light does to all edges of a picture in common.
+
+    Lit bore walls and glints on weld beads move every edge alike (`shift_px`) and outwards or inwards with the angle of
+    view, just as if all rims lay `depth_mm` deeper. No residual of the pose shows either.
+
+    Attributes
+    ----------
+    shift_px, depth_mm
+        The estimate.
+    covariance
+        (3, 3) of (x px, y px, depth mm): what remains unknown of it.
+    """
+
+    shift_px: NDArray[np.float64]
+    depth_mm: float
+    covariance: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refined:
+    """A pose with all that it rests on.
+
+    Attributes
+    ----------
+    sites
+        Places whose rim was looked at, n.
+    rims
+        What they showed, about the pose before the last solution.
+    center_px
+        (n, 2) measured centres, corrected for the edges' bias.
+    used
+        (n,) whether the tube was measured and agrees with its neighbours.
+    fit
+        The solution.
+    predicted_px, place
+        (n, 2) and (n, 2, 3): projection under `fit`, and its derivative by the tube's own place, px per mm.
+    profile
+        How edges look here.
+    bias
+        What the light was found to shift in common.
+    scatter_factor
+        What the lattice's scatter was taken times.
+    state
+        (n,) uint8 of `TubeState`.
+    parity
+        0 or 1 where the picture was the top or bottom field, None for a frame.
+    """
+
+    sites: Sites
+    rims: Rims
+    center_px: NDArray[np.float64]
+    used: NDArray[np.bool_]
+    fit: Fit
+    predicted_px: NDArray[np.float64]
+    place: NDArray[np.float64]
+    profile: EdgeProfile
+    bias: EdgeBias
+    scatter_factor: float
+    state: NDArray[np.uint8]
+    parity: int | None
+
+
+def refine(
+    image: Image,
+    camera: Camera,
+    lattice: Lattice,
+    prior: Prior,
+    rotation: Array,
+    translation_mm: Array,
+    profile: EdgeProfile,
+    *,
+    passes: int,
+    watch: Stopwatch,
+    scatter_factor: float = 1.0,
+    first: int | None = None,
+    parity: int | None = None,
+) -> Refined | None:
+    """Measure all tubes in the picture and solve for the pose, `passes` times over; None where too few are seen.
+
+    Parameters
+    ----------
+    image
+        (h, w) grey of `camera`: a frame, or one field with its field's camera.
+    camera, prior
+        Where the camera starts, and what of it is to be estimated.
+    rotation, translation_mm
+        Rough pose: within a quarter of a rim's radius for a profile that wide.
+    passes
+        How often to measure and solve.
+    scatter_factor
+        The lattice's scatter is taken times this.
+    parity
+        0 or 1 where the picture is the top or bottom field, None for a frame: passed through.
+    first
+        Tubes that the first pass measures, spread over the picture; by default all.
+    """
+    size = image.shape[1], image.shape[0]
+    refined: Refined | None = None
+    for step in range(passes):
+        vector = camera.vector()
+        sites = sites_in_picture(vector, rotation, translation_mm, lattice, size, 0.0)
+        if len(sites) < LEAST_TUBES:
+            return None
+        if step == 0 and first is not None and passes > 1 and len(sites) > first:
+            sites = sites.take(np.linspace(0, len(sites) - 1, first).astype(np.int64))
+        samples = sample_rims(image, vector, rotation, translation_mm, sites.sheet_mm, lattice, profile)
+        rims = solve_rims(samples)
+        watch.lap("detect")
+        used = accepted(rims, profile.width_px)
+        if used.sum() < LEAST_TUBES:
+            return None
+        center = samples.center_px + rims.shift_px
+        bias = None
+        if step == passes - 1:
+            _, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
+            bias = _edge_bias(samples, rims, used, place)
+            center = center - bias.shift_px - bias.depth_mm * place[:, :, 2]
+        fit = fit_pose(
+            sites.sheet_mm[used], center[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice,
+            prior, scatter_factor=scatter_factor,
+        )  # fmt: skip
+        camera, rotation, translation_mm = fit.camera, fit.rotation, fit.translation_mm
+        profile = _narrowed(profile_of(samples, rims), profile)
+        watch.lap("pose")
+        if bias is not None:
+            predicted, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
+            used[np.flatnonzero(used)[fit.weight <= 0]] = False
+            refined = Refined(
+                sites, rims, center, used, fit, predicted, place, profile, bias, scatter_factor,
+                tube_states(sites, samples, rims, used), parity,
+            )  # fmt: skip
+    return refined
+
+
+def _narrowed(seen: EdgeProfile | None, before: EdgeProfile) -> EdgeProfile:
+    """The profile for the next pass: narrower in steps only, as the first passes' pose still strays."""
+    least = NARROWING * before.width_px
+    if seen is None:
+        return start_profile(max(least, min(before.width_px, LIKELY_WIDTH_PX)), before.position_px)
+    return seen if seen.width_px >= least else start_profile(least, seen.position_px)
+
+
+def projected(camera: Camera, rotation: Array, translation_mm: Array, sheet_mm: Array) -> tuple[Array, Array]:
+    """Picture points, (n, 2) px, and their derivative by the point's own place, (n, 2, 3) px per mm."""
+    n = len(sheet_mm)
+    px, J, place = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty((n, 2, 3))
+    linearise(camera.vector(), 1.0, 1.0, rotation, translation_mm, translation_mm, sheet_mm, 6, px, J, place)
+    return px, place
+
+
+def accepted(rims: Rims, width_px: float, usual_radius_px: float | None = None) -> NDArray[np.bool_]:
+    """Tubes whose edge is clear, whole enough, of the usual size (that of the others) and where it may be."""
+    clear = (rims.strength > LEAST_STRENGTH) & (rims.rays > LEAST_RAYS)
+    if usual_radius_px is None:
+        usual_radius_px = float(np.median(rims.radius_px[clear])) if clear.any() else 0.0
+    right_size = np.abs(rims.radius_px - usual_radius_px) < width_px
+    return np.asarray(clear & right_size & (np.hypot(rims.shift_px[:, 0], rims.shift_px[:, 1]) < 2 * width_px))
+
+
+def _edge_bias(samples: RimSamples, rims: Rims, used: NDArray[np.bool_], place: Array) -> EdgeBias:
+    """What the edges have in common, as the difference between whole edges and their feet on the clearest tubes."""
+    scale = float(np.median(np.linalg.norm(place[used, 0, :2], axis=1)))
+    sigma = np.array(BIAS_PRIOR_MM) * [scale, scale, 1.0]
+    floor = np.diag((np.array(BIAS_FLOOR_MM) * [scale, scale, 1.0]) ** 2)
+    which = np.flatnonzero(used)
+    feet = solve_feet(samples, which)
+    good = (feet.strength > BIAS_STRENGTH) & (feet.rays > 0.5)
+    if good.sum() < BIAS_TUBES:
+        return EdgeBias(np.zeros(2), 0.0, np.diag(sigma**2))
+    which = which[good]
+    difference = (rims.shift_px[which] - feet.shift_px[good]).ravel()
+    A = np.zeros((2 * len(which), 3))
+    A[0::2, 0] = A[1::2, 1] = 1.0
+    A[:, 2] = place[which, :, 2].ravel()
+    information = np.repeat(1.0 / (feet.covariance_px[good, 0] + feet.covariance_px[good, 2]), 2)
+    weight, b, N = information.copy(), np.zeros(3), np.diag(sigma**-2)
+    for _ in range(5):
+        N = (A.T * weight) @ A + np.diag(sigma**-2)
+        b = np.linalg.solve(N, (A.T * weight) @ difference)
+        stray = np.abs(difference - A @ b) * np.sqrt(information)
+        spread = max(1.4826 * float(np.median(stray)), 0.3)
+        weight = information / spread**2 * np.clip(1 - (stray / (4.685 * spread)) ** 2, 0.0, None) ** 2
+    return EdgeBias(b[:2], float(b[2]), np.asarray(np.linalg.inv(N) + floor, np.float64))

@@ -1,0 +1,195 @@
+"""Follow the sheet from picture to picture; find it anew, by itself, where it was lost."""
+
+from __future__ import annotations
+
+import math
+from copy import copy
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from service.vision.acquire import candidates
+from service.vision.lock import LEAST_TUBES, MOST_STRAY, Proof, prove
+from service.vision.motion import Motion, aligned, centred, looked_at
+from service.vision.pose import prior_of
+from service.vision.refinement import refine
+from service.vision.rims import EdgeProfile, start_profile
+from service.vision.search import search_shift
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from service.vision.camera import Camera
+    from service.vision.lattice import Lattice
+    from service.vision.pose import Fit
+    from service.vision.refinement import Refined
+    from service.vision.stopwatch import Stopwatch
+
+    Array: TypeAlias = NDArray[np.float64]
+    Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+__all__ = ["Seen", "Tracker"]
+
+START_WIDTH = 0.2
+"""Width of the edge that is looked for about a rough pose, in rim radii."""
+ACQUIRE_PASSES = 5
+TRACK_PASSES = 2
+TRIES = 3
+"""Candidates that are refined before a picture is given up."""
+CERTAIN_SHARE = 0.4
+"""A candidate that shows this share of its tubes needs no comparison with others."""
+KEPT_SHARE = 0.5
+"""A pose whose share of measured tubes falls below this part of the last one is looked at again."""
+FIRST_PASS = 64
+"""Tubes that the first pass over a tracked picture measures."""
+SMOOTH = 0.2
+"""How fast the running figures follow a new picture."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """What one picture gave.
+
+    Attributes
+    ----------
+    refined
+        The measured pose; None where there is none.
+    reason
+        Why there is none, in words.
+    gap
+        How far from its expected place the sheet was found, in pitches; NaN where nothing was expected.
+    found_anew
+        Whether it had to be searched for.
+    """
+
+    refined: Refined | None
+    reason: str | None
+    gap: float
+    found_anew: bool
+
+
+class Tracker:
+    """Keeps pose, speed, camera estimate and the look of edges between pictures.
+
+    Parameters
+    ----------
+    camera
+        The full frame's camera, as far as it is known.
+    """
+
+    def __init__(self, camera: Camera, lattice: Lattice) -> None:
+        self.camera, self.lattice = camera, lattice
+        self.motion: Motion | None = None
+        self._estimate = camera
+        self._profile: EdgeProfile | None = None
+        self._radius_px: float | None = None
+        self._share = 0.0
+
+    def copy(self) -> Tracker:
+        """A tracker that goes its own way from here; all that it keeps is immutable."""
+        return copy(self)
+
+    def motion_px(self, period_ns: int) -> float:
+        """How far the picture moves in a frame period at the last speed; NaN before two pictures."""
+        if self.motion is None or not self.motion.speed_mm_per_s.any():
+            return math.nan
+        depth = float(self.motion.rotation[2, :2] @ self.motion.anchor_mm + self.motion.translation_mm[2])
+        speed = float(np.hypot(*self.motion.speed_mm_per_s[:2]))
+        return speed * period_ns * 1e-9 * float(self._estimate.vector()[0]) / depth
+
+    def step(self, image: Image, parity: int | None, time_ns: int, watch: Stopwatch) -> Seen:
+        """Measure one picture: track, else search nearby, else acquire.
+
+        Parameters
+        ----------
+        image
+            (h, w) grey, C-contiguous: a frame, or one field of it.
+        parity
+            0 for the top field, 1 for the bottom one, None for a frame.
+        """
+        known = self.camera if parity is None else self.camera.of_field(parity)
+        start = self._estimate if parity is None else self._estimate.of_field(parity)
+        seen = self._track(image, known, start, parity, time_ns, watch)
+        if seen is None:
+            seen = self._acquire(image, known, parity, time_ns, watch)
+        if seen.refined is not None:
+            self.follow(seen.refined, parity, time_ns)
+        return seen
+
+    def _track(
+        self, image: Image, known: Camera, start: Camera, parity: int | None, time_ns: int, watch: Stopwatch
+    ) -> Seen | None:
+        """Measure about the predicted pose, then about the best shift of it; None where the sheet is not there."""
+        if self.motion is None or self._profile is None or self._radius_px is None:
+            return None
+        prior = prior_of(known, start.focal_length_mm)
+        rotation, translation = self.motion.at(time_ns)
+        refined = refine(
+            image, start, self.lattice, prior, rotation, translation, self._profile, passes=TRACK_PASSES, watch=watch,
+            first=FIRST_PASS, parity=parity,
+        )  # fmt: skip
+        if not self._holds(refined):
+            shifted = search_shift(image, start.vector(), rotation, translation, self.lattice)
+            wide = start_profile(START_WIDTH * self._radius_px)
+            watch.lap("detect")
+            refined = refine(
+                image, start, self.lattice, prior, rotation, shifted, wide, passes=ACQUIRE_PASSES - 1, watch=watch,
+                parity=parity,
+            )  # fmt: skip
+        if refined is None or not self._holds(refined):
+            return None
+        off = looked_at(refined.fit.rotation, refined.fit.translation_mm) - looked_at(rotation, translation)
+        return Seen(refined, None, float(np.hypot(*off)) / self.lattice.pitch_mm, found_anew=False)
+
+    def _holds(self, refined: Refined | None) -> bool:
+        """Whether a tracked pose shows enough of its tubes, where the last one did."""
+        if refined is None or refined.used.sum() < LEAST_TUBES:
+            return False
+        return bool(refined.used.mean() >= KEPT_SHARE * self._share) and refined.fit.scatter_factor < MOST_STRAY
+
+    def _acquire(self, image: Image, known: Camera, parity: int | None, time_ns: int, watch: Stopwatch) -> Seen:
+        """Find the sheet with nothing to go by, indexed as before where it was known before."""
+        best: tuple[Refined, Proof, float] | None = None
+        reason = "no tube pattern is seen"
+        for tried, candidate in enumerate(candidates(image, known, self.lattice, watch, self._radius_px)):
+            rotation, translation, gap = self._indexed(candidate.fit, time_ns)
+            camera = candidate.fit.camera
+            refined = refine(
+                image, camera, self.lattice, prior_of(known, camera.focal_length_mm), rotation, translation,
+                start_profile(START_WIDTH * candidate.radius_px), passes=ACQUIRE_PASSES, watch=watch,
+                parity=parity,
+            )  # fmt: skip
+            if refined is not None:
+                proof = prove(image, refined, self.lattice)
+                watch.lap("lattice")
+                if proof.reason is not None:
+                    reason = proof.reason
+                elif best is None or refined.used.sum() > best[0].used.sum():
+                    best = refined, proof, gap
+            if tried >= TRIES - 1 or (best is not None and best[1].share > CERTAIN_SHARE):
+                break
+        if best is None:
+            return Seen(None, reason, math.nan, found_anew=True)
+        return Seen(best[0], None, best[2], found_anew=True)
+
+    def _indexed(self, fit: Fit, time_ns: int) -> tuple[Array, Array, float]:
+        """Give a newly found pose the index that the last one would give it, or one of its own."""
+        if self.motion is None:
+            return *centred(fit.rotation, fit.translation_mm, self.lattice), math.nan
+        return aligned(fit.rotation, fit.translation_mm, self.motion.at(time_ns), self.lattice)
+
+    def follow(self, refined: Refined, parity: int | None, time_ns: int) -> None:
+        """Take a measured pose for the last one."""
+        fit = refined.fit
+        anchor = looked_at(fit.rotation, fit.translation_mm)
+        if self.motion is None:
+            self.motion = Motion.standing(fit.rotation, fit.translation_mm, time_ns, anchor)
+        else:
+            self.motion = self.motion.moved_to(fit.rotation, fit.translation_mm, time_ns, anchor)
+        share = float(refined.used.mean())
+        self._share += (SMOOTH if self._share else 1.0) * (share - self._share)
+        self._profile = refined.profile
+        self._estimate = fit.camera.of_frame(self.camera, parity)
+        depth = float(fit.rotation[2, :2] @ anchor + fit.translation_mm[2])
+        self._radius_px = self.lattice.rim_radius_mm * float(fit.camera.vector()[0]) / depth
