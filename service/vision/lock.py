@@ -26,6 +26,8 @@ LEAST_SHARE = 0.12
 LEAST_TUBES = 8
 MOST_DECOYS = 0.2
 """Most tubes that may be "seen" between the tubes, as a share of those seen in their places."""
+ALIKE = 0.6
+"""A decoy counts as a tube where its edge has this share of the height of the edge of the tube beside it."""
 MOST_STRAY = 3.0
 """Most that centres may stray beyond what they and the tubes' scatter explain."""
 MOST_OFFSET = 0.3
@@ -59,14 +61,16 @@ def prove(image: Image, refined: Refined, lattice: Lattice) -> Proof:
     share = measured / len(refined.sites)
     a1, a2 = lattice.basis_mm
     between = a1 / 2, (a1 + a2) / (2 if lattice.arrangement.symmetry == 4 else 3)
-    found = 0
     usual = float(np.median(refined.rims.radius_px[refined.used]))
+    gain, bore = refined.rims.gain[refined.used], refined.rims.bore[refined.used]
+    found = 0
     for offset in between:
         places = refined.sites.sheet_mm[refined.used] + offset
         rims = solve_rims(
             sample_rims(image, vector, fit.rotation, fit.translation_mm, places, lattice, refined.profile)
         )
-        found = max(found, int(accepted(rims, refined.profile.width_px, usual).sum()))
+        alike = (rims.gain > ALIKE * gain) & (rims.bore < bore + (1 - ALIKE) * gain)  # as dark as the tube beside it
+        found = max(found, int((accepted(rims, refined.profile.width_px, usual) & alike).sum()))
     decoys = found / measured
     return Proof(share, decoys, _reason(refined, lattice, measured, share, decoys))
 
