@@ -69,9 +69,12 @@ class Optics:
         roots = np.roots(np.trim_zeros(np.array([7 * k3, 5 * k2, 3 * k1, 1.0]), "f"))
         return min((r.real for r in roots if abs(r.imag) < 1e-12 and r.real > 0), default=np.inf)
 
-    def rays(self) -> NDArray[np.float32]:
-        """Undistorted normalised coordinates of every pixel, (height, width, 2); NaN where none is imaged there."""
-        v, u = np.mgrid[: self.height_px, : self.width_px]
+    def rays(self, *, margin: int = 0) -> NDArray[np.float32]:
+        """Undistorted normalised coordinates of every pixel, (height, width, 2), and of so many more all round.
+
+        NaN where nothing is imaged.
+        """
+        v, u = np.mgrid[-margin : self.height_px + margin, -margin : self.width_px + margin]
         return self.undistort(np.stack([u, v], axis=-1).astype(np.float64)).astype(np.float32)
 
     def undistort(self, points_px: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,13 +1,13 @@
 """Draws a tubesheet as the simulated camera sees it.
 
-Every pixel's ray is followed to the sheet, so the lens needs no warping. Edges are anti-aliased by their distance in
-pixels, along the edge's normal: symmetric about the true circle, so the truth holds to a few thousandths of a pixel.
+Every pixel's ray is followed to the sheet, so the lens needs no warping. A pixel on an edge gets the exact share of its
+square that lies on either side of the edge's tangent, so the truth holds to a few thousandths of a pixel.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import cv2
@@ -51,8 +51,8 @@ class Renderer:
 
     def __init__(self, optics: Optics, sheet: Sheet, look: Look, rng: np.random.Generator) -> None:
         self._optics, self._sheet, self._look = optics, sheet, look
-        rays = optics.rays()
-        self._seen = np.isfinite(rays[..., 0]).astype(np.float32)
+        rays = optics.rays(margin=1)  # a pixel more all round, for derivatives
+        self._seen = np.isfinite(rays[1:-1, 1:-1, 0]).astype(np.float32)
         self._rays: Image = np.nan_to_num(rays)
         self._origin = sheet.centers_mm[..., :2].reshape(-1, 2).mean(axis=0)  # small numbers keep float32 exact
         self._sites = self._site_table()
@@ -92,28 +92,28 @@ class Renderer:
     def _draw_strip(
         self, image: Image, top: int, bottom: int, rotation: NDArray[np.float64], translation_mm: NDArray[np.float64]
     ) -> None:
-        low, high = max(top - 1, 0), min(bottom + 1, len(image))  # a row more each side, for the slope of r
-        rays = self._meet_sheet(low, high, rotation, translation_mm).rows(top - low, bottom - low)
+        rays = self._meet_sheet(top, bottom, rotation, translation_mm)
         light: Image = self._light[top:bottom]
         if self._look.glare:
             light = light + self._glare(rays) * self._seen[top:bottom]
         np.multiply(self._shade(rays), light, out=image[top:bottom])
 
     def _meet_sheet(
-        self, low: int, high: int, rotation: NDArray[np.float64], translation_mm: NDArray[np.float64]
+        self, top: int, bottom: int, rotation: NDArray[np.float64], translation_mm: NDArray[np.float64]
     ) -> _Rays:
         """Follow the rays of some rows to Z = 0 and to the rim's plane of the nearest tube."""
         camera = -rotation.T @ translation_mm
-        dx, dy, dz = cv2.split(cv2.transform(self._rays[low:high], rotation.T))
+        dx, dy, dz = cv2.split(cv2.transform(self._rays[top : bottom + 2], rotation.T))
         dz = np.maximum(dz, np.float32(GRAZING))
-        slope_x, slope_y = dx / dz, dy / dz
+        wide_x, wide_y = dx / dz, dy / dz
+        slope_x, slope_y = wide_x[1:-1, 1:-1], wide_y[1:-1, 1:-1]
         x0, y0 = (camera[:2] - self._origin).astype(np.float32)
-        x, y = x0 - np.float32(camera[2]) * slope_x, y0 - np.float32(camera[2]) * slope_y
+        z0 = np.float32(camera[2])
+        x, y = x0 - z0 * slope_x, y0 - z0 * slope_y
         center_x, center_y, z, gloss = cv2.split(self._nearest_site(x, y))
         qx, qy = x + z * slope_x - center_x, y + z * slope_y - center_y
-        r = cv2.magnitude(qx, qy)
-        per_mm = 1 / np.maximum(_gradient(r), np.float32(1e-6))
-        return _Rays(x, y, slope_x, slope_y, qx, qy, gloss, np.where(gloss == 0, FAR_MM, r), per_mm)
+        r = np.where(gloss == 0, FAR_MM, cv2.magnitude(qx, qy))
+        return _Rays(x, y, slope_x, slope_y, qx, qy, r, gloss, z - z0, wide_x, wide_y)
 
     def _nearest_site(self, x: Image, y: Image) -> Image:
         """Entries of the site table, (height, width, 4), by rounding the lattice coordinates of points of the sheet."""
@@ -122,7 +122,7 @@ class Renderer:
         column0, row0 = (self._origin @ inverse - (first_column, first_row)).astype(np.float32)
         column = x * inverse[0, 0] + y * inverse[1, 0] + column0
         row = x * inverse[0, 1] + y * inverse[1, 1] + row0
-        # replicated at the border, r stays continuous there, and so its slope sound
+        # beyond the border the nearest site is far enough away to draw nothing
         site: Image = cv2.remap(self._sites, column, row, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
         return site
 
@@ -187,8 +187,9 @@ class Renderer:
 class _Rays:
     """Some rows of pixels on the sheet; mm, from the renderer's origin.
 
-    x, y on Z = 0; slope_x, slope_y a mm of Z; qx, qy, r from the nearest tube's axis in its rim's plane; its gloss;
-    per_mm: px a mm along r.
+    x, y on Z = 0; slope_x, slope_y a mm of Z; qx, qy, r from the nearest tube's axis in its rim's plane (r far off
+    where there is no tube); its gloss; plunge: from the camera to that plane along Z; wide_x, wide_y: the slopes, and a
+    pixel more all round.
     """
 
     x: Image
@@ -197,22 +198,50 @@ class _Rays:
     slope_y: Image
     qx: Image
     qy: Image
-    gloss: Image
     r: Image
-    per_mm: Image
-
-    def rows(self, start: int, stop: int) -> _Rays:
-        return _Rays(*(getattr(self, f.name)[start:stop] for f in fields(self)))
+    gloss: Image
+    plunge: Image
+    wide_x: Image
+    wide_y: Image
 
     def inside(self, radius_mm: float) -> Image:
         """Share of each pixel inside a circle about the tube's axis."""
-        share: Image = np.clip((np.float32(radius_mm) - self.r) * self.per_mm + np.float32(0.5), 0, 1)
+        share: Image = (self.r < radius_mm).astype(np.float32)
+        edge = np.flatnonzero(np.abs(self.r - np.float32(radius_mm)) < self._half_diagonal_mm())
+        r, gu, gv = self._slope_of_r(edge)
+        steep = np.maximum(np.sqrt(gu * gu + gv * gv), np.float32(1e-9))
+        depth_px = (np.float32(radius_mm) - r) / steep
+        share.ravel()[edge] = _covered(depth_px, np.abs(gu) / steep, np.abs(gv) / steep)
         return share
 
+    def _half_diagonal_mm(self) -> float:
+        """How far from a pixel's centre its square may reach on the sheet: half its longest diagonal, a little more."""
+        some = slice(None, None, 8)
+        across = np.hypot(np.diff(self.wide_x[:, some], axis=0), np.diff(self.wide_y[:, some], axis=0)).max()
+        along = np.hypot(np.diff(self.wide_x[some], axis=1), np.diff(self.wide_y[some], axis=1)).max()
+        return 0.55 * float(np.abs(self.plunge).max()) * math.hypot(across, along) + 1e-6
 
-def _gradient(r: Image) -> Image:
-    gx = cv2.Sobel(r, cv2.CV_32F, 1, 0, ksize=1, scale=0.5)
-    return cv2.magnitude(gx, cv2.Sobel(r, cv2.CV_32F, 0, 1, ksize=1, scale=0.5))
+    def _slope_of_r(self, at: NDArray[np.int_]) -> tuple[Image, Image, Image]:
+        """r, dr/du and dr/dv, mm a px, at some pixels: central differences of the slopes, the tube held fast."""
+        width = self.r.shape[1]
+        row, column = np.divmod(at, width)
+        wide = (row + 1) * (width + 2) + column + 1
+        r, qx, qy = (a.ravel()[at] for a in (self.r, self.qx, self.qy))
+        scale = self.plunge.ravel()[at] / (2 * np.maximum(r, np.float32(1e-6)))
+        steps = []
+        for step in (1, width + 2):
+            x, y = (a.ravel()[wide + step] - a.ravel()[wide - step] for a in (self.wide_x, self.wide_y))
+            steps.append((qx * x + qy * y) * scale)
+        return r, steps[0], steps[1]
+
+
+def _covered(depth_px: Image, nu: Image, nv: Image) -> Image:
+    """Share of a unit square behind a line with normal (nu, nv), both >= 0, its centre `depth_px` behind it."""
+    a, b = (np.maximum(n, np.float32(1e-6)) for n in (np.maximum(nu, nv), np.minimum(nu, nv)))
+    t = np.abs(depth_px)
+    corner = np.maximum((a + b) / 2 - t, 0)
+    half = np.where(t <= (a - b) / 2, t / a, np.float32(0.5) - corner * corner / (2 * a * b))
+    return np.float32(0.5) + np.copysign(half, depth_px)
 
 
 def _blurred(image: Image, sigma_px: float) -> Image:

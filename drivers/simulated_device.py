@@ -111,7 +111,8 @@ class SimulatedDevice:
         self._waiting: deque[Exposure] = deque()
         self._number, self._sequence = 0, 0
         self._owed = 0.0
-        self._next_ns, self._stamp_ns = 0.0, 0
+        self._next_ns: float = 0  # whole, or infinity
+        self._stamp_ns = 0
         """When the next frame is exposed, and the time it is stamped with; they differ in free running only."""
         self._period_ns, self._paced = 1, True
 
@@ -179,13 +180,14 @@ class SimulatedDevice:
 
     def _halt(self, fault: Fault) -> None:
         self.record.struck[fault.kind] += 1
+        pause_ns = math.inf if math.isinf(fault.seconds) else round(fault.seconds * 1e9)
         if fault.kind is FaultKind.DISCONNECT:
-            self.gone_until_ns = self._next_ns + fault.seconds * 1e9
+            self.gone_until_ns = self._next_ns + pause_ns
             self.stop()
             return
-        self._next_ns += fault.seconds * 1e9
-        if self._paced and self._next_ns < math.inf:
-            self._stamp_ns = round(self._next_ns)
+        self._next_ns += pause_ns
+        if self._paced and not math.isinf(pause_ns):
+            self._stamp_ns += int(pause_ns)
 
     def _buffer(self, now_ns: int) -> None:
         faults = {f.kind: f for f in self._lasting}

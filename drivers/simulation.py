@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     Pose: TypeAlias = tuple[NDArray[np.float64], NDArray[np.float64]]
     Trajectory: TypeAlias = Callable[[float], Pose]
 
-__all__ = ["Scene", "Trajectory", "default_scene", "there_and_back"]
+__all__ = ["Scene", "default_scene", "there_and_back"]
 
 RIM_POINTS, HALF_COVERED = 24, 128
 MOST_SITES = 400  # a side of the sheet's rectangle, however the camera looks

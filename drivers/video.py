@@ -65,7 +65,7 @@ class VideoRecording(Recording):
     def _open(self) -> InputContainer:
         with Complaints() as complaints:
             try:
-                return av.open(str(self._path), metadata_errors="replace")
+                return av.open(f"file:{self._path}", metadata_errors="replace")  # a colon in its name is no protocol
             except av.FFmpegError as error:
                 why = "is no video that can be read; check that it is the right file"
                 if any("moov atom" in text for text in complaints.texts) and self._bytes(4, 4) == b"ftyp":

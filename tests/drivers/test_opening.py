@@ -1,0 +1,101 @@
+"""A source's name leads to its grabber, or to one line that says what is wrong with it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from drivers.errors import ConfigError, DeviceNotFoundError, UnsupportedFormatError
+from drivers.frame import PixelFormat
+from drivers.grabber import FieldMode, GrabberState
+from drivers.opening import open_grabber
+from drivers.replay import ReplayGrabber
+from drivers.simulated import SimulatedGrabber
+from tests.drivers.recorded import picture, write_folder, write_video
+from tests.fakes.clock import ManualClock
+
+
+def test_a_path_is_played(tmp_path):
+    write_video(tmp_path / "a.mkv", [picture(i) for i in range(3)])
+    write_folder(tmp_path / "pictures", [picture(i) for i in range(3)])
+    for source in (tmp_path / "a.mkv", tmp_path / "pictures", tmp_path / "pictures" / "1.png"):
+        grabber = open_grabber(str(source), speed=math.inf, rate_hz=50, clock=ManualClock())
+        assert isinstance(grabber, ReplayGrabber)
+        assert grabber.state is GrabberState.CLOSED
+        with grabber:
+            assert grabber.grab(1.0).source == str(source)
+
+
+def test_options_reach_the_recording(tmp_path):
+    folder = write_folder(tmp_path, [picture(i) for i in range(2)])
+    with open_grabber(
+        str(folder), speed=math.inf, loop=True, rate_hz=10, field_mode=FieldMode.ALTERNATE, top_first=False
+    ) as grabber:
+        grabber.start()
+        frames = [grabber.read(1.0) for _ in range(6)]
+    assert [(f.field, f.timestamp_ns) for f in frames[:2]] == [("bottom", 0), ("top", 50_000_000)]
+    assert frames[5].sequence == 2
+
+
+def test_a_colon_in_a_file_s_name_is_no_scheme(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_video(tmp_path / "tape:1.mkv", [picture(0)])
+    with open_grabber("tape:1.mkv") as grabber:
+        assert grabber.frame_count == 1
+
+
+def test_simulated_values_are_in_its_name():
+    source = (
+        "simulated:delta60?seed=4&size=160x120&rate_hz=60&bits=16&interlaced=yes&look=hard&loop_frames=3&pitch_px=30"
+    )
+    with open_grabber(source, clock=ManualClock()) as grabber:
+        assert isinstance(grabber, SimulatedGrabber)
+        assert grabber.scene.sheet.lattice.model == "W_Delta60"
+        granted = grabber.format
+        assert (granted.width_px, granted.height_px, granted.rate_hz) == (160, 120, 60)
+        assert granted.pixel_format is PixelFormat.MONO16
+        assert grabber.scene.interlaced
+        assert grabber.grab(1.0).source == source
+
+
+def test_the_usual_simulation_is_the_same_each_time():
+    first, second = (
+        open_grabber("simulated?size=64x48&loop_frames=2", clock=ManualClock()).open().grab(1.0) for _ in range(2)
+    )
+    np.testing.assert_array_equal(first.pixels, second.pixels)
+
+
+@pytest.mark.parametrize(
+    ("source", "error_type", "words"),
+    [
+        ("v4l2:/dev/video0", DeviceNotFoundError, "v4l2: is no kind of source; give a video"),
+        ("usb:1234:5678", DeviceNotFoundError, "usb: is no kind of source"),
+        ("http://host/video.mp4", DeviceNotFoundError, "http: is no kind of source"),
+        ("simulated:sistem80", ConfigError, "did you mean system80"),
+        ("simulated?sed=3", ConfigError, "did you mean seed"),
+        ("simulated?seed=x", ConfigError, "seed = 'x': must be a whole number"),
+        ("simulated?seed=-1", ConfigError, "seed = '-1'"),
+        ("simulated?size=640", ConfigError, "must be like 640x480"),
+        ("simulated?rate_hz=0", ConfigError, "rate_hz = '0': must be a number above 0"),
+        ("simulated?rate_hz=nan", ConfigError, "rate_hz = 'nan'"),
+        ("simulated?bits=12", ConfigError, "bits = '12': must be 8 or 16"),
+        ("simulated?interlaced=1", ConfigError, "must be yes or no"),
+        ("simulated?look=nice", ConfigError, "known: clean, nominal, hard"),
+        ("simulated?loop_frames=0", ConfigError, "loop_frames = '0'"),
+        ("simulated?seed=", ConfigError, "seed = ''"),
+    ],
+)
+def test_a_wrong_source_is_refused_in_one_line(source, error_type, words):
+    with pytest.raises(error_type) as error:
+        open_grabber(source)
+    assert str(error.value).startswith(source)
+    assert words in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("source", "error_type"), [("no such file.mp4", DeviceNotFoundError), ("/dev/null", UnsupportedFormatError)]
+)
+def test_a_path_that_is_no_recording_is_refused_when_it_is_opened(source, error_type):
+    with pytest.raises(error_type, match=source):
+        open_grabber(source).open()
