@@ -67,16 +67,16 @@ def summary_lines(health: Health, seconds: float, ended_by: str) -> list[str]:
     numbers, fates = health.account.lines()
     lines = [
         f"{ended_by} after {seconds:.1f} s",
-        f"  frames    {numbers}",
-        f"            {fates}",
-        f"  lock      {_locks(health.locks)}",
-        f"  timing    latency {_ms(health.latency_ms)}, age when measured {_ms(health.age_ms)}",
+        f"  frames       {numbers}",
+        f"               {fates}",
+        f"  lock         {_locks(health.locks)}",
+        f"  timing       latency {_ms(health.latency_ms)}, age when measured {_ms(health.age_ms)}",
     ]
     if health.overflowed:
-        lines.append(f"  recorder  {health.overflowed:,} frames found no room")
+        lines.append(f"  recorder     {health.overflowed:,} frames found no room")
     for name, s in health.sinks.items():
         waiting = f", {s.depth:,} waiting" if s.depth else ""
-        lines.append(f"  {name:9} {s.accepted:,} frames, {s.dropped:,} dropped, {s.failed:,} failed{waiting}")
+        lines.append(f"  {name:12} {s.accepted:,} frames, {s.dropped:,} dropped, {s.failed:,} failed{waiting}")
     return lines
 
 

@@ -52,7 +52,7 @@ class FakeVision:
         self.made = []
         self.answer = lambda: [make_measurement()]
 
-    def __call__(self, camera, lattice):
+    def __call__(self, camera, lattice, tick):
         measurer = FakeMeasurer(self.answer)
         measurer.camera, measurer.lattice = camera, lattice
         self.made.append(measurer)
@@ -64,5 +64,5 @@ def vision(monkeypatch):
     fake = FakeVision()
     for module in ("analyze", "live"):
         monkeypatch.setattr(f"service.cli.{module}.Measurer", fake)
-    monkeypatch.setattr("service.cli.live.warm_up", lambda: None)
+    monkeypatch.setattr("service.cli.live.warm_up", lambda tick: None)
     return fake

@@ -66,7 +66,7 @@ def test_the_summary_accounts_for_frames_locks_times_and_sinks():
         "every frame accounted for",
         "90 full, 0 partial, 8 none of 98 pictures",
         "latency p50 8.0 ms, p99 12.5 ms",
-        "viewer    98 frames, 4 dropped, 1 failed, 2 waiting",
+        "viewer       98 frames, 4 dropped, 1 failed, 2 waiting",
     ):
         assert words in text
     assert "recorder" not in text

@@ -1,0 +1,127 @@
+"""What `demo`, `run` and `replay` share: the live service with a status line, a viewer and a summary."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from service.acquisition.health import AcquisitionState
+from service.acquisition.live import STOP_S, LiveService
+from service.cli.inputs import fitting_camera
+from service.cli.status import status_parts, summary_lines
+from service.cli.terminal import Interrupted, StatusLine, say
+from service.cli.viewing import Viewing, make_viewing
+from service.vision.process import Measurer, warm_up
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable
+
+    from drivers.grabber import FrameFormat, Grabber
+    from service.config.generators import SteamGenerator
+    from service.config.station import MeasuringSettings, ViewerSettings
+    from service.vision.camera import Camera
+
+__all__ = ["LiveRun", "prepare_kernels", "watch"]
+
+REFRESH_S = 0.2
+EVENT_LEVELS = {AcquisitionState.RUNNING: "INFO", AcquisitionState.STALLED: "WARN"}
+FLUSH_S = 10.0
+"""How long sinks may take to flush when nobody asked for a stop."""
+
+
+@dataclass(frozen=True, slots=True)
+class LiveRun:
+    """What to watch, and how.
+
+    Attributes
+    ----------
+    kind
+        LIVE, REPLAY or SIMULATED.
+    prepare
+        Sets the device up once it is open: input, standard, controls.
+    every_frame
+        Measure all frames, at the pace at which that goes; otherwise the newest.
+    """
+
+    kind: str
+    grabber: Grabber
+    generator: SteamGenerator
+    camera: Camera | None
+    measuring: MeasuringSettings
+    viewer: ViewerSettings
+    prepare: Callable[[Grabber], None] | None = None
+    every_frame: bool = False
+
+
+def watch(live: LiveRun, args: argparse.Namespace) -> int:
+    """Run the live service until its source ends, it is stopped or the time is up; returns the exit status."""
+
+    def measurer_for(picture_format: FrameFormat) -> Measurer:
+        camera = fitting_camera(live.camera, picture_format, live.grabber.name)
+        prepare_kernels()
+        return Measurer(camera, live.generator.lattice, time.perf_counter_ns)
+
+    viewing = make_viewing(args, live.viewer, live.generator, live.kind, live.grabber.name)
+    service = LiveService(
+        live.grabber,
+        measurer_for,
+        viewing.sinks,
+        prepare=live.prepare,
+        every_frame=live.every_frame,
+        field=live.measuring.field_order.field,
+        oldest_s=None if live.every_frame else live.measuring.oldest_frame_ms / 1e3,
+    )
+    with service:
+        service.start()
+        began_s = time.monotonic()
+        viewing.announce()
+        ended_by = _follow(live.kind, service, viewing, args.seconds or math.inf)
+        viewing.event(ended_by, "INFO" if service.failure is None else "ERROR")
+        service.stop(FLUSH_S if ended_by == "ended" else STOP_S)
+    return _conclude(service, ended_by, time.monotonic() - began_s)
+
+
+def prepare_kernels() -> None:
+    """Compile the measuring kernels, or load them; the first time on a machine takes long enough to say so."""
+    notice = threading.Timer(2.0, say, ["compiling the measuring kernels, once on this machine; this takes a while"])
+    notice.daemon = True
+    notice.start()
+    try:
+        warm_up(time.perf_counter_ns)
+    finally:
+        notice.cancel()
+        notice.join()
+
+
+def _follow(kind: str, service: LiveService, viewing: Viewing, seconds: float) -> str:
+    """Show the status until it is over; in a word, why it is."""
+    status, state, end_s = StatusLine(), AcquisitionState.OPENING, time.monotonic() + seconds
+    try:
+        while not service.wait(REFRESH_S):
+            health = service.health()
+            status.show(status_parts(kind, health, service.latest))
+            if health.state is not state and health.state in EVENT_LEVELS:
+                state = health.state
+                viewing.event(f"{kind} {state}", EVENT_LEVELS[state])
+            if time.monotonic() > end_s:
+                return "time is up"
+    except Interrupted:
+        return "stopped"
+    finally:
+        status.clear()
+    return "broke off" if service.failure else "ended"
+
+
+def _conclude(service: LiveService, ended_by: str, seconds: float) -> int:
+    health = service.health()
+    for line in summary_lines(health, seconds, ended_by):
+        print(line)
+    for stuck in service.stuck:
+        say(f"{stuck} did not stop in time and was left behind")
+    if service.failure is not None:
+        say(str(service.failure))
+    return int(service.failure is not None or bool(service.stuck) or not health.account.balanced())

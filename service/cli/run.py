@@ -1,0 +1,68 @@
+"""`bowlsight run`: the live service as the station file says."""
+
+from __future__ import annotations
+
+import logging
+from typing import TYPE_CHECKING
+
+from drivers.grabber import Standard
+from drivers.opening import open_grabber
+from drivers.replay import ReplayGrabber
+from drivers.scene import GENERATORS
+from drivers.simulated import SimulatedGrabber
+from service.cli.inputs import station
+from service.cli.live import LiveRun, watch
+from service.cli.simulate import camera_of
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable
+
+    from drivers.grabber import Grabber
+    from service.config.station import SourceSettings, Station
+
+__all__ = ["run"]
+
+log = logging.getLogger(__name__)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Grab and measure; returns the exit status."""
+    s = station(args.config)
+    grabber = _grabber(s)
+    kind, camera = "REPLAY" if isinstance(grabber, ReplayGrabber) else "LIVE", s.camera
+    if isinstance(grabber, SimulatedGrabber):
+        kind, camera = "SIMULATED", s.camera or camera_of(grabber.scene.optics)
+    return watch(
+        LiveRun(
+            kind=kind,
+            grabber=grabber,
+            generator=s.generator,
+            camera=camera,
+            measuring=s.measuring,
+            viewer=s.viewer,
+            prepare=_preparing(s.source),
+        ),
+        args,
+    )
+
+
+def _grabber(s: Station) -> Grabber:
+    device = s.source.device
+    if device == "simulated" and s.generator.key in GENERATORS:
+        device = f"simulated:{s.generator.key}"
+    return open_grabber(device)
+
+
+def _preparing(source: SourceSettings) -> Callable[[Grabber], None]:
+    def prepare(grabber: Grabber) -> None:
+        if source.input is not None:
+            grabber.select_input(source.input)
+        if source.standard is not Standard.NONE:
+            grabber.set_standard(source.standard)
+        for name, asked in source.controls.items():
+            taken = grabber.set_control(name, asked)
+            if taken != asked:
+                log.warning("%s: asked for %s = %g, the device took %g", grabber.name, name, asked, taken)
+
+    return prepare

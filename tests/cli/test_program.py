@@ -1,0 +1,79 @@
+"""The program as it is started: a process of its own, real vision, real signals."""
+
+import json
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from service.demo import DEMO_GENERATOR, demo_camera, demo_video
+
+PROGRAM = [sys.executable, "-c", "import sys; from service.cli import main; sys.exit(main())"]
+PATIENCE_S = 120
+
+
+@pytest.fixture
+def start(tmp_path):
+    """Start the program in an empty folder; whatever a test leaves running is killed."""
+    processes = []
+
+    def popen(*arguments):
+        process = subprocess.Popen(
+            [*PROGRAM, *map(str, arguments)], cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        processes.append(process)
+        return process
+
+    yield popen
+    for process in processes:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+        process.stderr.close()
+
+
+def test_help_and_version_load_nothing_heavy():
+    code = (
+        "import sys; from service.cli import main; main(['--version']); main(['analyze', '--help']);"
+        "sys.exit(', '.join({'numpy', 'cv2', 'numba', 'scipy', 'av', 'rerun', 'tqdm'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=PATIENCE_S)
+    assert done.stderr == "\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_the_demonstration_runs_from_any_folder_until_it_is_stopped(start, number):
+    process = start("demo", "--no-viewer")
+    assert process.stdout.readline().startswith("REPLAY")
+    process.send_signal(number)
+    out, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 0
+    assert "stopped after" in out
+    assert "every frame accounted for" in out
+    assert "Traceback" not in err
+
+
+@pytest.mark.slow
+def test_a_reader_that_goes_away_ends_it_without_a_word(start):
+    process = start("analyze", demo_video(), "--generator", DEMO_GENERATOR, "--camera", demo_camera(), "--jsonl", "-")
+    assert json.loads(process.stdout.readline())["lock"] == "full"
+    process.stdout.close()
+    assert process.wait(PATIENCE_S) == 141
+    assert process.stderr.read() == ""
+
+
+@pytest.mark.slow
+def test_an_interrupted_analysis_has_written_whole_lines(start, tmp_path):
+    out = tmp_path / "o.jsonl"
+    process = start("analyze", demo_video(), "--generator", DEMO_GENERATOR, "--camera", demo_camera(), "--jsonl", out)
+    process.stdout.readline()
+    process.stdout.readline()  # the table's first row: a frame is done
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=PATIENCE_S)
+    assert process.returncode == 130
+    assert "interrupted" in err
+    lines = [json.loads(line) for line in out.read_text().splitlines()]
+    assert [line["sequence"] for line in lines] == list(range(len(lines)))
+    assert lines
