@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -11,12 +12,15 @@ import numpy as np
 
 from drivers.decoding import decode_picture
 from drivers.errors import ConfigError, UnsupportedFormatError
+from service.cli.live import prepare_kernels
 from service.config.cameras import read_camera, write_atomically
 from service.config.generators import load_generator
 from service.vision.measurement import Lock, Measurement, Origin
 from service.vision.paper import MethodResult, Sighting, assumed_camera, compare
+from service.vision.process import Measurer
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable, Iterator, Sequence
 
     from numpy.typing import NDArray
@@ -28,12 +32,23 @@ if TYPE_CHECKING:
     Pixels: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
     Engine: TypeAlias = Callable[[Pixels, Lattice, Camera], Measurement]
 
-__all__ = ["run_compare"]
+__all__ = ["run", "run_compare"]
 
 COLUMNS = (("tubes", 6), ("Tz/f", 16), ("f mm", 18), ("C px", 17), ("Tz mm", 18), ("rms px", 8))
 FINDING = (
     "Tz/f is what one picture tells; f, and Tz with it, follow from the little by which the tilt shortens the picture."
 )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Compare, with the live service's engine beside the paper's methods; returns the exit status."""
+    return run_compare(args.picture, args.generator, args.camera, args.json, _engine)
+
+
+def _engine(pixels: Pixels, lattice: Lattice, camera: Camera) -> Measurement:
+    """Measure one picture; of an interlaced one the first field."""
+    prepare_kernels()
+    return Measurer(camera, lattice, time.perf_counter_ns).measure(pixels, 0)[0]
 
 
 def run_compare(picture: Path, generator: str, camera: Path | None, json_out: str | None, engine: Engine) -> int:
@@ -197,6 +212,10 @@ def _text(d: dict[str, Any]) -> Iterator[str]:
     yield from _table("Modern", {str(modern["lock"]): modern})
     if modern["reason"]:
         yield f"No lock: {modern['reason']}"
+    if modern["tz_over_f"] is not None:
+        distance, tilt = (_value(modern[k], modern["sigma"][k], 2) for k in ("distance_mm", "tilt_deg"))
+        doubt = ", ".join(modern["doubt"])
+        yield f"distance {distance} mm, tilt {tilt} deg{f'; in doubt: {doubt}' if doubt else ''}"
     if not d["reason"]:
         yield ""
         yield f"Spread over the methods: Tz/f {_spread(methods, 'tz_over_f')}, f {_spread(methods, 'focal_length_mm')}."

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from drivers.errors import ConfigError, DeviceError
+from service.cli import main
 from service.cli.compare import run_compare
 from service.vision.camera import Camera, TsaiLens
 from service.vision.measurement import Lock, Measurement, Origin, Pose, PoseSigma, Tubes, TubeState
@@ -81,6 +82,7 @@ def test_the_table_names_units_counts_spread_and_the_finding(picture, camera, ca
     said = capsys.readouterr().out
     for words in [*METHODS, "Tz/f", "f mm", "C px", "Tz mm", "tubes linked", "Spread over the methods: Tz/f", "full"]:
         assert words in said
+    assert f"distance {PAPER_POSE[:, 2] @ T:.2f} +-0.50 mm, tilt 6.90 +-0.02 deg" in said
     assert "sx 1 (assumed: not in the file)" in said
     assert "the middle: not in the file" in said
     assert max(len(line) for line in said.splitlines() if ": with C" not in line) <= 140
@@ -156,3 +158,21 @@ def test_wrong_input_is_refused_in_one_line_that_names_it(tmp_path, picture, cam
         assert "\n" not in str(error.value)
     with pytest.raises(ConfigError, match="cannot be written"):
         run_compare(picture, "system80", camera, str(tmp_path / "gone" / "x.json"), no_lock)
+
+
+def test_the_command_sets_the_live_engine_beside_the_methods(tmp_path, picture, capsys):
+    file = tmp_path / "camera.toml"
+    file.write_text(
+        f"{CAMERA}sx = 1.0\nfocal_length_mm = 18.8\nkappa1_per_mm2 = -0.00249\nprincipal_point_px = [318.0, 160.0]\n"
+    )
+    assert main(["compare", str(picture), "--generator", "system80", "--camera", str(file), "--json", "-"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    modern = document["modern"]
+    assert modern["lock"] != "none"
+    assert modern["distance_mm"] == pytest.approx(PAPER_POSE[:, 2] @ T, abs=2)
+    assert modern["tz_over_f"] == pytest.approx(document["methods"]["ellipse"]["tz_over_f"], rel=0.01)
+
+
+def test_the_command_refuses_wrong_input_with_status_2(tmp_path, capsys):
+    assert main(["compare", str(tmp_path / "gone.png"), "--generator", "system80"]) == 2
+    assert "gone.png" in capsys.readouterr().err
