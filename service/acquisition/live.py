@@ -90,8 +90,8 @@ class LiveService:
         self._subscribers.append(queue)
         return queue
 
-    def start(self) -> FrameFormat:
-        """Open the source, start the sinks, begin to measure; what cannot be is raised, and nothing is left running.
+    def open(self) -> FrameFormat:
+        """Take all that is needed: source, camera, sinks. What cannot be had is raised, and nothing is left running.
 
         Raises
         ------
@@ -108,12 +108,22 @@ class LiveService:
             for sink in self._sinks:
                 self._started_sinks.append(sink)
                 sink.start()
-            self._worker = Worker(self._hand_over, measurer, self._sinks, self._ledger, self._clock, self._oldest_s)
-            self._worker.start()
-            self._acquisition.begin()
         except BaseException:
             self.stop()
             raise
+        self._worker = Worker(self._hand_over, measurer, self._sinks, self._ledger, self._clock, self._oldest_s)
+        return picture_format
+
+    def begin(self) -> None:
+        """Begin to grab and to measure, once open."""
+        assert self._worker is not None, "opened"
+        self._worker.start()
+        self._acquisition.begin()
+
+    def start(self) -> FrameFormat:
+        """Open and begin."""
+        picture_format = self.open()
+        self.begin()
         return picture_format
 
     def wait(self, timeout_s: float) -> bool:

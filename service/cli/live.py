@@ -62,7 +62,6 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
 
     def measurer_for(picture_format: FrameFormat) -> Measurer:
         camera = fitting_camera(live.camera, picture_format, live.grabber.name)
-        prepare_kernels()
         return Measurer(camera, live.generator.lattice, time.perf_counter_ns)
 
     viewing = make_viewing(args, live.viewer, live.generator, live.kind, live.grabber.name)
@@ -76,9 +75,11 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         oldest_s=None if live.every_frame else live.measuring.oldest_frame_ms / 1e3,
     )
     with service:
-        service.start()
-        began_s = time.monotonic()
+        service.open()
+        prepare_kernels()
         viewing.announce()
+        began_s = time.monotonic()
+        service.begin()
         ended_by = _follow(live.kind, service, viewing, args.seconds or math.inf)
         viewing.event(ended_by, "INFO" if service.failure is None else "ERROR")
         service.stop(FLUSH_S if ended_by == "ended" else STOP_S)

@@ -128,6 +128,13 @@ class TestStopping:
     def test_before_it_started(self):
         self.stop(make([]))
 
+    def test_between_opening_and_beginning(self):
+        service = make([0])
+        service.open()
+        self.stop(service)
+        assert service.stuck == []
+        assert service.health().account.delivered == 0
+
     def test_while_idle(self):
         service = make(idle())
         service.start()

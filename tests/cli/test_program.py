@@ -1,13 +1,23 @@
 """The program as it is started: a process of its own, real vision, real signals."""
 
+import itertools
 import json
 import signal
 import subprocess
 import sys
+from time import perf_counter_ns
 
+import cv2
 import pytest
 
+from drivers.replay import ReplayGrabber
+from service.acquisition.live import LiveService
+from service.cli import main
+from service.config.cameras import read_camera
+from service.config.generators import load_generator
 from service.demo import DEMO_GENERATOR, demo_camera, demo_video
+from service.vision.process import Measurer
+from tests.fakes.scripted import RememberingSink
 
 PROGRAM = [sys.executable, "-c", "import sys; from service.cli import main; sys.exit(main())"]
 PATIENCE_S = 120
@@ -77,3 +87,27 @@ def test_an_interrupted_analysis_has_written_whole_lines(start, tmp_path):
     lines = [json.loads(line) for line in out.read_text().splitlines()]
     assert [line["sequence"] for line in lines] == list(range(len(lines)))
     assert lines
+
+
+@pytest.mark.slow
+def test_the_live_service_and_analyze_give_the_same_results_to_the_last_bit(tmp_path, capsys):
+    folder = tmp_path / "bowl"
+    folder.mkdir()
+    with ReplayGrabber(demo_video(), speed=1e6) as grabber:
+        for i, frame in enumerate(itertools.islice(grabber.start(), 12)):
+            assert cv2.imwrite(str(folder / f"{i}.png"), frame.pixels)
+    lattice, camera = load_generator(DEMO_GENERATOR).lattice, read_camera(demo_camera())
+    sink = RememberingSink()
+    with LiveService(
+        ReplayGrabber(folder, speed=1e6), lambda _: Measurer(camera, lattice, perf_counter_ns), [sink], every_frame=True
+    ) as service:
+        service.start()
+        assert service.wait(PATIENCE_S)
+    options = ["--generator", DEMO_GENERATOR, "--camera", str(demo_camera()), "--jsonl", "-"]
+    assert main(["analyze", str(folder), *options]) == 0
+    analyzed = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    live = [json.loads(result.to_json()) for _, results in sink.got for result in results]
+    for line in (*analyzed, *live):
+        del line["elapsed_ms"]
+    assert len(live) == 12
+    assert live == analyzed
