@@ -86,9 +86,9 @@ class VideoRecording(Recording):
         return 8 <= length <= self._path.stat().st_size and self._bytes(-length, 8) == NUT_INDEX
 
     def _first_pixels(self, container: InputContainer, stream: VideoStream) -> Pixels:
-        for tried, step in enumerate(_decode(container, stream)):
-            if step.frames:
-                return luma(step.frames[0], self.name)
+        for tried, (_, frames) in enumerate(_decode(container, stream)):
+            if frames:
+                return luma(frames[0], self.name)
             if tried == PROBED_PACKETS:
                 break
         codec = stream.codec_context.name
@@ -122,46 +122,55 @@ def _declared_end_s(container: InputContainer, stream: VideoStream) -> float | N
 
 
 @dataclass(slots=True, eq=False)
-class _Step:
-    """What one packet gave. It goes through the decoder with its packet and comes out with its own picture."""
+class _Packet:
+    """What is known of one packet. It goes through the decoder and comes out with the picture made of it.
+
+    It must not hold that picture: the two would keep each other alive.
+    """
 
     pts: int | None = None
-    frames: list[av.VideoFrame] = field(default_factory=list)
     complaints: list[str] = field(default_factory=list)
-    failed: bool = False
-    at_end: bool = False
-    """The decoder's last pictures: no packet any more."""
+    """What the decoder said of it."""
     jumped: list[str] = field(default_factory=list)
-    """What the container's reader complained of on the way to this packet."""
+    """What the container's reader said on the way to it."""
+    failed: bool = False
+    """Nothing could be made of it."""
+    at_end: bool = False
+    """It is none: the decoder gives its last pictures."""
 
 
-def _decode(container: InputContainer, stream: VideoStream) -> Iterator[_Step]:
+def _decode(container: InputContainer, stream: VideoStream) -> Iterator[tuple[_Packet, list[av.VideoFrame]]]:
     """Demux and decode to the end, or to where the container cannot be read on."""
     stream.codec_context.thread_count = 1
     stream.codec_context.copy_opaque = True
     packets = container.demux(stream)
     while True:
-        step = _Step(at_end=True)
         with Complaints() as complaints:
             try:
                 packet = next(packets, None)
             except av.FFmpegError as error:
-                yield _Step(at_end=True, jumped=[*complaints.texts, str(error.strerror)])
+                yield _Packet(at_end=True, jumped=[*complaints.texts, str(error.strerror)]), []
                 return
         if packet is None:
             return
-        step = _Step(packet.pts, at_end=packet.size == 0, jumped=complaints.texts)
-        packet.opaque = step
-        with Complaints() as complaints:
-            try:
-                step.frames = packet.decode()
-            except av.FFmpegError as error:
-                step.failed = not step.at_end
-                step.complaints.append(str(error.strerror))
-        step.complaints[:0] = complaints.texts
-        if packet.is_corrupt:
-            step.complaints.insert(0, "the packet is cut short")
-        yield step
+        known = _Packet(packet.pts, jumped=complaints.texts, at_end=packet.size == 0)
+        packet.opaque = known
+        yield known, _decode_packet(packet, known)
+
+
+def _decode_packet(packet: av.Packet[VideoStream], known: _Packet) -> list[av.VideoFrame]:
+    frames: list[av.VideoFrame] = []
+    if packet.is_corrupt:
+        known.complaints.append("the packet is cut short")
+    with Complaints() as complaints:
+        try:
+            frames = packet.decode()
+        except av.FFmpegError as error:
+            known.failed = not known.at_end
+            known.complaints.extend([*complaints.texts, str(error.strerror)])
+            return frames
+    known.complaints.extend(complaints.texts)
+    return frames
 
 
 class _Playback:
@@ -173,24 +182,24 @@ class _Playback:
         self._beat = _Beat(video.period_ns)
         self._number = -1
         self._tainted = False
-        self._failed: list[_Step] = []
+        self._failed: list[_Packet] = []
         self._packets = 0
         self._last_damaged = False
 
     def run(self) -> Iterator[Picture]:
         end: list[str] = []
-        for step in _decode(self._container, self._stream):
-            if step.at_end:
-                end = step.jumped
+        for packet, frames in _decode(self._container, self._stream):
+            if packet.at_end:
+                end = packet.jumped
             else:
                 self._packets += 1
-                self._last_damaged = bool(step.complaints)
-                self._tainted |= self._video.inter_coded and bool(step.jumped or step.complaints)
-            for frame in step.frames:
+                self._last_damaged = bool(packet.complaints)
+                self._tainted |= self._video.inter_coded and bool(packet.jumped or packet.complaints)
+            for frame in frames:
                 yield from self._blanks_before(frame.pts)
-                yield self._picture(frame, frame.opaque if isinstance(frame.opaque, _Step) else step)
-            if step.failed:
-                self._failed.append(step)
+                yield self._picture(frame, frame.opaque if isinstance(frame.opaque, _Packet) else packet)
+            if packet.failed:
+                self._failed.append(packet)
         if why := self._broken(end):
             total = "" if self._video.frame_count is None else f" of about {self._video.frame_count}"
             raise DeviceDisconnectedError(
@@ -199,9 +208,9 @@ class _Playback:
             )
         yield from self._blanks_before(None)
 
-    def _picture(self, frame: av.VideoFrame, step: _Step) -> Picture:
-        number, time_ns = self._place(frame.pts, jumped=bool(step.jumped))
-        complaint = next(iter(step.complaints), "decoder: patched a damaged picture" if frame.is_corrupt else None)
+    def _picture(self, frame: av.VideoFrame, packet: _Packet) -> Picture:
+        number, time_ns = self._place(frame.pts, jumped=bool(packet.jumped))
+        complaint = next(iter(packet.complaints), "decoder: patched a damaged picture" if frame.is_corrupt else None)
         if complaint is not None:
             self._tainted = self._video.inter_coded
         elif self._tainted:
@@ -212,11 +221,11 @@ class _Playback:
 
     def _blanks_before(self, pts: int | None) -> Iterator[Picture]:
         """Blank pictures for packets that failed and would have been shown before `pts`; None: for all."""
-        due = [s for s in self._failed if pts is None or s.pts is None or s.pts < pts]
-        self._failed = [s for s in self._failed if s not in due]
-        for step in sorted(due, key=lambda s: s.pts or 0):
-            number, time_ns = self._place(step.pts, jumped=bool(step.jumped))
-            yield Picture(number, time_ns, blank(self._video.format), step.complaints[0])
+        due = [p for p in self._failed if pts is None or p.pts is None or p.pts < pts]
+        self._failed = [p for p in self._failed if p not in due]
+        for packet in sorted(due, key=lambda p: p.pts or 0):
+            number, time_ns = self._place(packet.pts, jumped=bool(packet.jumped))
+            yield Picture(number, time_ns, blank(self._video.format), packet.complaints[0])
 
     def _place(self, pts: int | None, *, jumped: bool) -> tuple[int, int]:
         time_base = self._stream.time_base or Fraction(1)

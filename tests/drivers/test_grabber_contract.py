@@ -360,5 +360,6 @@ def test_fields_are_the_rows_of_the_frames_at_their_own_times(device, mode):
         parity = int(field.field is Field.BOTTOM)
         np.testing.assert_array_equal(field.pixels, frames[field.sequence].pixels[parity::2])
         assert field.timestamp_ns - start_ns == pytest.approx(40e6 * field.sequence + 20e6 * parity, abs=1e6)
+        assert field.pixels.flags.c_contiguous
         assert not field.pixels.flags.writeable
     assert grabber.counters.lost == 0

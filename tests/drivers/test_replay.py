@@ -1,5 +1,6 @@
 """Recordings that are sound: every format, pace, loop and field mode gives the right picture at the right time."""
 
+import gc
 import json
 import math
 
@@ -278,3 +279,14 @@ def test_the_bowl_stills_are_read_as_opencv_reads_them(shared):
     for path in sorted((shared / "bowl" / "stills").glob("*.png"))[:6]:
         (frame,) = play(path)
         np.testing.assert_array_equal(frame.pixels, cv2.imread(str(path), cv2.IMREAD_UNCHANGED))
+
+
+def test_a_long_replay_holds_on_to_none_of_its_pictures(tmp_path):
+    """What goes through the decoder with a packet and the picture that comes out must not keep each other alive."""
+    path = write_video(tmp_path / "a.mkv", map(picture, range(40)), "mjpeg", "yuvj420p")
+    with ReplayGrabber(path, speed=math.inf, loop=True, clock=ManualClock()) as grabber:
+        grabber.start()
+        for _ in range(200):
+            grabber.read(1.0)
+        held = [o for o in gc.get_objects() if type(o).__name__ == "_Packet"]
+        assert len(held) < 5
