@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from drivers.errors import CalibrationError, ConfigError, DeviceError
 from service.cli.parser import UsageError, parse
-from service.cli.terminal import Interrupted, interruptible, logging_to_terminal, say
+from service.cli.terminal import Interrupted, interruptible, logging_to_terminal, say, secure_streams
 
 if TYPE_CHECKING:
     import argparse
@@ -26,6 +26,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     0: done. 1: it ran and found a problem. 2: wrong use, configuration or unreadable input. 130, 143: interrupted
     before it was done, by Ctrl-C or SIGTERM. 141: whoever read the output went away.
     """
+    secure_streams()
     try:
         args = parse(sys.argv[1:] if argv is None else argv)
     except UsageError as error:

@@ -3,22 +3,35 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import logging
+import os
 import shutil
 import signal
 import sys
 import threading
 import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from types import FrameType
 
-__all__ = ["Interrupted", "StatusLine", "interruptible", "logging_to_terminal", "say"]
+__all__ = ["Interrupted", "StatusLine", "interruptible", "logging_to_terminal", "say", "secure_streams"]
 
 ERASE = "\r\x1b[K"
 PLAIN_EVERY_S = 5.0
+
+
+def secure_streams() -> None:
+    """See to it that printing never fails for a stream that is closed or a letter that it does not know."""
+    for name in ("stdout", "stderr"):
+        stream = getattr(sys, name)
+        if stream is None:  # also: no file opened later gets its number, and what libraries print into it
+            setattr(sys, name, Path(os.devnull).open("w", encoding="utf-8"))  # noqa: SIM115 - open to the end
+        elif isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")
 
 
 def say(message: str) -> None:

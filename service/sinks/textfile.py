@@ -43,7 +43,7 @@ class LineFile:
             sys.stdout.write(line + "\n")
             sys.stdout.flush()
             return
-        data = (line + "\n").encode()
+        data = (line + "\n").encode("utf-8", "surrogateescape")
         try:
             rest = data
             while rest:

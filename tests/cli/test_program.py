@@ -2,6 +2,7 @@
 
 import itertools
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -50,6 +51,25 @@ def test_help_and_version_load_nothing_heavy():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=PATIENCE_S)
     assert done.stderr == "\n"
+
+
+@pytest.mark.parametrize("closed", ["1", "2"])
+def test_a_closed_stream_is_no_mistake(closed, tmp_path):
+    command = " ".join(f"'{word}'" for word in PROGRAM)
+    for arguments, status in (("--version", 0), ("analyze none.mp4 --generator model-f", 2), ("devices", 0)):
+        line = f"{command} {arguments} {closed}>&-"
+        done = subprocess.run(
+            line, shell=True, cwd=tmp_path, capture_output=True, text=True, check=False, timeout=PATIENCE_S
+        )
+        assert done.returncode == status
+        assert "mistake" not in done.stderr
+
+
+def test_letters_that_a_terminal_lacks_are_replaced():
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    done = subprocess.run([*PROGRAM, "größe"], env=environment, capture_output=True, check=False, timeout=PATIENCE_S)
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"bowlsight: unknown command")
 
 
 @pytest.mark.slow

@@ -113,6 +113,14 @@ def test_a_full_disk_keeps_the_whole_lines(tmp_path, monkeypatch):
     assert path.read_text() == "first\nthird\n"
 
 
+def test_a_file_name_that_is_no_text_is_written_as_it_is(tmp_path):
+    file = LineFile(tmp_path / "o")
+    file.open()
+    file.write(os.fsdecode(b"b\xfcwl.mp4"))
+    file.close()
+    assert (tmp_path / "o").read_bytes() == b"b\xfcwl.mp4\n"
+
+
 def test_a_device_without_room_says_so():
     file = LineFile("/dev/full")
     file.open()
