@@ -172,8 +172,10 @@ def doubts(refined: Refined, pose: Pose, lattice: Lattice) -> tuple[Doubt, ...]:
 
 
 def packed(pixels: Image) -> Image:
-    """The same pixels without gaps between rows, as kernels take them."""
-    return cast("Image", np.ascontiguousarray(pixels))
+    """The same pixels without gaps between rows and read-only: for other arrays kernels would be compiled again."""
+    same = np.ascontiguousarray(pixels).view()
+    same.flags.writeable = False
+    return cast("Image", same)
 
 
 def warm_up(tick: Callable[[], int]) -> None:
