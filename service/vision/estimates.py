@@ -69,7 +69,7 @@ def _bias_covariance(refined: Refined) -> Array:
     J = np.zeros((6, 3))
     J[3, 0], J[4, 1] = across / v[0], across / v[1]
     J[3:, 2] = fit.rotation[:, 2]
-    return np.asarray(J @ refined.bias.covariance @ J.T, np.float64)
+    return np.asarray(J @ refined.bias.covariance[:3, :3] @ J.T, np.float64)
 
 
 def _sigma(refined: Refined, lattice: Lattice, cov: Array) -> PoseSigma:

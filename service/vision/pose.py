@@ -229,8 +229,8 @@ def _damped_step(A: Array, b: Array, damping: float) -> Array:
 def _gauss_newton(
     theta: Array, kind: float, pitch_mm: Array, fold: float, R: Array, t: Array, sheet_mm: Array, z: Array, cov: Array,
     scatter2: float, height2: float, free: NDArray[np.int64], prior_info: Array, prior_mean: Array, iterations: int,
-) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, Array, float, bool]:  # fmt: skip
-    """Solve robustly; gives theta, R, t, pivot, A, weight, m2, px, J, v, scale, converged.
+) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, float, bool]:  # fmt: skip
+    """Solve robustly; gives theta, R, t, pivot, A, weight, info, px, J, scale, converged.
 
     Levenberg's damping steps in only where a step makes the robust cost grow.
     """
@@ -294,7 +294,7 @@ def _gauss_newton(
     for p in range(k):
         for q in range(k):
             A[6 + p, 6 + q] += prior_info[p, q]
-    return theta, R, t, pivot, A, weight, m2, px, J, v, scale, converged
+    return theta, R, t, pivot, A, weight, info, px, J, scale, converged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -336,6 +336,8 @@ class Fit:
         By how much the tubes' places scatter more than assumed (standard deviations).
     converged
         Whether the solution stood still at the end.
+    gradient, information
+        (n, 2, 6 + k) of the predicted centres by the unknowns, and (n, 3) xx, xy, yy of the centres.
     """
 
     rotation: NDArray[np.float64]
@@ -348,6 +350,17 @@ class Fit:
     residual_px: NDArray[np.float64]
     scatter_factor: float
     converged: bool
+    gradient: NDArray[np.float64]
+    information: NDArray[np.float64]
+
+    def response(self, field_px: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How the solution, (6 + k,), would follow if all n centres were shifted by `field_px`, (n, 2), together."""
+        xx, xy, yy = self.information.T * self.weight
+        x, y = field_px.T
+        pull = np.column_stack([xx * x + xy * y, xy * x + yy * y])
+        return np.asarray(
+            self.covariance @ np.einsum("nip,ni->p", self.gradient, pull) / max(1.0, self.scatter_factor**2)
+        )
 
 
 def prior_of(camera: Camera, focal_length_mm: float | None = None) -> Prior:
@@ -426,15 +439,15 @@ def fit_pose(
     """
     start = _parameter_vector(camera)
     free = np.array([PARAMETERS.index(n) for n in prior.names], np.int64)
-    info = np.asarray(np.linalg.inv(prior.covariance), np.float64) if len(free) else np.zeros((0, 0))
+    known = np.asarray(np.linalg.inv(prior.covariance), np.float64) if len(free) else np.zeros((0, 0))
     opencv = isinstance(camera.lens, OpenCVLens)
     lens_free = any(PARAMETERS.index(n) >= 5 for n in prior.names)
     fold = -1.0 if lens_free or not opencv else float(camera.vector()[10])
     f2 = scatter_factor**2
-    theta, R, t, pivot, A, weight, _, px, _, _, scale, converged = _gauss_newton(
+    theta, R, t, pivot, A, weight, info, px, J, scale, converged = _gauss_newton(
         start, 1.0 if opencv else TSAI, np.array(camera.pixel_pitch_mm), fold,
         np.ascontiguousarray(rotation), np.ascontiguousarray(translation_mm), sheet_mm, center_px, covariance_px,
-        f2 * lattice.scatter_mm**2, f2 * lattice.height_scatter_mm**2, free, info, prior.mean, iterations,
+        f2 * lattice.scatter_mm**2, f2 * lattice.height_scatter_mm**2, free, known, prior.mean, iterations,
     )  # fmt: skip
     return Fit(
         rotation=R,
@@ -447,6 +460,8 @@ def fit_pose(
         residual_px=center_px - px,
         scatter_factor=math.sqrt(scale),
         converged=converged,
+        gradient=J[:, :, [*range(POSE), *(POSE + free)]] if len(free) else J,
+        information=info,
     )
 
 

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.pose import Fit, fit_pose, linearise
+from service.vision.pose import TUKEY, Fit, fit_pose, linearise
 from service.vision.rims import (
     EdgeProfile,
     Rims,
     RimSamples,
+    light_shift,
     profile_of,
     sample_rims,
     solve_feet,
@@ -45,10 +47,11 @@ LIKELY_WIDTH_PX = 1.2
 """Width to go on with where no clear edge tells it."""
 BIAS_STRENGTH = 3.1
 BIAS_TUBES = 8
-BIAS_PRIOR_MM = (0.25, 0.25, 1.8)
-"""One sigma of the common shift (x, y) and of the edges' apparent depth before a picture says anything."""
-BIAS_FLOOR_MM = (0.01, 0.01, 0.05)
-"""What the correction leaves at the least, measured on truth."""
+BIAS_PRIOR = (0.25, 0.25, 1.8, 1.0)
+"""One sigma of the common shift (x, y mm), of the edges' apparent depth (mm) and of the light's part before a picture
+says anything."""
+BIAS_FLOOR = (0.01, 0.01, 0.05, 0.0)
+"""What the correction leaves at the least, measured on truth; the light's part has its own, `light_shift`."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,19 +59,24 @@ class EdgeBias:
     """What light does to all edges of a picture in common.
 
     Lit bore walls and glints on weld beads move every edge alike (`shift_px`) and outwards or inwards with the angle of
-    view, just as if all rims lay `depth_mm` deeper. No residual of the pose shows either.
+    view, just as if all rims lay `depth_mm` deeper, or with the light's own slope. No residual of the pose shows it.
 
     Attributes
     ----------
-    shift_px, depth_mm
-        The estimate.
+    shift_px, depth_mm, light
+        The estimate; `light` in units of `Rims.light_px`.
     covariance
-        (3, 3) of (x px, y px, depth mm): what remains unknown of it.
+        (4, 4) of (x px, y px, depth mm, light): what remains unknown of it.
     """
 
     shift_px: NDArray[np.float64]
     depth_mm: float
+    light: float
     covariance: NDArray[np.float64]
+
+    def of(self, place: Array, light_px: Array) -> Array:
+        """The shift of each edge, (n, 2) px."""
+        return np.asarray(self.shift_px + self.depth_mm * place[:, :, 2] + self.light * light_px, np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +177,7 @@ def refine(
         if step == passes - 1:
             _, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
             bias = _edge_bias(samples, rims, used, place)
-            center = center - bias.shift_px - bias.depth_mm * place[:, :, 2]
+            center = center - bias.of(place, rims.light_px)
         fit = fit_pose(
             sites.sheet_mm[used], center[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice,
             prior, scatter_factor=scatter_factor,
@@ -179,6 +187,8 @@ def refine(
         watch.lap("pose")
         if bias is not None:
             predicted, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
+            light = rims.light_px[used] * math.sqrt(bias.covariance[3, 3])
+            fit = replace(fit, covariance=fit.covariance + np.outer(*(fit.response(light),) * 2))
             used[np.flatnonzero(used)[fit.weight <= 0]] = False
             refined = Refined(
                 sites, rims, center, used, fit, predicted, place, profile, bias, scatter_factor,
@@ -215,24 +225,26 @@ def accepted(rims: Rims, width_px: float, usual_radius_px: float | None = None) 
 def _edge_bias(samples: RimSamples, rims: Rims, used: NDArray[np.bool_], place: Array) -> EdgeBias:
     """What the edges have in common, as the difference between whole edges and their feet on the clearest tubes."""
     scale = float(np.median(np.linalg.norm(place[used, 0, :2], axis=1)))
-    sigma = np.array(BIAS_PRIOR_MM) * [scale, scale, 1.0]
-    floor = np.diag((np.array(BIAS_FLOOR_MM) * [scale, scale, 1.0]) ** 2)
+    units = np.array([scale, scale, 1.0, 1.0])
+    prior = np.diag((np.array(BIAS_PRIOR) * units) ** -2.0)
+    floor = np.diag((np.array(BIAS_FLOOR) * units) ** 2)
+    floor[3, 3] += light_shift(samples.profile.width_px)[1] ** 2
     which = np.flatnonzero(used)
     feet = solve_feet(samples, which)
     good = (feet.strength > BIAS_STRENGTH) & (feet.rays > 0.5)
     if good.sum() < BIAS_TUBES:
-        return EdgeBias(np.zeros(2), 0.0, np.diag(sigma**2))
+        return EdgeBias(np.zeros(2), 0.0, 0.0, np.asarray(np.linalg.inv(prior) + floor, np.float64))
     which = which[good]
     difference = (rims.shift_px[which] - feet.shift_px[good]).ravel()
-    A = np.zeros((2 * len(which), 3))
+    A = np.zeros((2 * len(which), 4))
     A[0::2, 0] = A[1::2, 1] = 1.0
-    A[:, 2] = place[which, :, 2].ravel()
+    A[:, 2], A[:, 3] = place[which, :, 2].ravel(), rims.light_px[which].ravel()
     information = np.repeat(1.0 / (feet.covariance_px[good, 0] + feet.covariance_px[good, 2]), 2)
-    weight, b, N = information.copy(), np.zeros(3), np.diag(sigma**-2)
+    weight, b, N = information.copy(), np.zeros(4), prior
     for _ in range(5):
-        N = (A.T * weight) @ A + np.diag(sigma**-2)
+        N = (A.T * weight) @ A + prior
         b = np.linalg.solve(N, (A.T * weight) @ difference)
         stray = np.abs(difference - A @ b) * np.sqrt(information)
         spread = max(1.4826 * float(np.median(stray)), 0.3)
-        weight = information / spread**2 * np.clip(1 - (stray / (4.685 * spread)) ** 2, 0.0, None) ** 2
-    return EdgeBias(b[:2], float(b[2]), np.asarray(np.linalg.inv(N) + floor, np.float64))
+        weight = information / spread**2 * np.clip(1 - (stray / (TUKEY * spread)) ** 2, 0.0, None) ** 2
+    return EdgeBias(b[:2], float(b[2]), float(b[3]), np.asarray(np.linalg.inv(N) + floor, np.float64))

@@ -35,6 +35,7 @@ __all__ = [
     "EdgeProfile",
     "RimSamples",
     "Rims",
+    "light_shift",
     "mean_profiles",
     "profile_of",
     "sample_rims",
@@ -57,6 +58,17 @@ FOOT = np.where(GRID < -0.2, 1.0, 0.0)
 """The same for all of the edge's foot, with each ray's offset its own. Least bias."""
 OFFSET_PRIOR = 1.3
 """How strongly a ray's offset is drawn to the tube's, relative to the ray's own information; the foot's is free."""
+SLOPE_REACH = 2.3
+"""How far, in pitches, neighbours tell how the light falls off."""
+SLOPE_STRENGTH = 4.0
+SLOPE_PRIOR = 0.3
+"""Information, in tubes at the edge of that reach, that draws the light towards level."""
+SLOPE_STRAY = 0.8
+"""A tube whose edge differs by this, as a logarithm, is stained and does not tell."""
+LIGHT_SHIFT, LIGHT_SHIFT_SIGMA = (0.3, 2.0), (0.4, 1.5)
+"""What uneven light shifts a rim by, and one sigma of that, in `Rims.light_px`: on sharp pictures, and more per px of
+blur beyond SHARP_PX. Measured on truth."""
+SHARP_PX = 0.8
 LEAST_GAIN = 0.12
 """A ray whose gain falls below this share of the tube's shows no edge."""
 REACH = 1.6
@@ -71,7 +83,7 @@ LEAST_RAYS = 8
 LEAST_AGREEING = 6.0
 LEAST_RAY_SIGMA = 0.05
 """A ray is never better than this, px: the template is not exact."""
-SHARED = 1.3
+SHARED = 1.4
 """Neighbouring rays see the same pixels: their common error counts once, measured on truth."""
 WIDTH_LIMITS_PX = (0.5, 4.5)
 
@@ -120,6 +132,10 @@ class RimSamples:
         (n, rays) whether the ray lies in the picture.
     center_px
         (n, 2) where the centre of each tube-end circle projects; NaN where it does not.
+    radius_px, pitch_px
+        Rim radius and lattice pitch in the middle of the picture, px of x.
+    aspect
+        Height of a pixel over its width.
     resolved
         Width of the tube wall over that of the edge's blur.
     profile
@@ -130,6 +146,9 @@ class RimSamples:
     normal: NDArray[np.float64]
     valid: NDArray[np.bool_]
     center_px: NDArray[np.float64]
+    radius_px: float
+    pitch_px: float
+    aspect: float
     resolved: float
     profile: EdgeProfile
 
@@ -152,6 +171,9 @@ class Rims:
         (n,) height of the edge over its uncertainty, as the rays tell it; negative where nothing could be measured.
     rays
         (n,) share of the rays that take part.
+    light_px
+        (n, 2) edge width times the relative change of the light from the tube's centre to its rim: what uneven light
+        may shift a rim by.
     """
 
     shift_px: NDArray[np.float64]
@@ -162,6 +184,7 @@ class Rims:
     outside: NDArray[np.float64]
     strength: NDArray[np.float64]
     rays: NDArray[np.float64]
+    light_px: NDArray[np.float64]
 
 
 def sample_rims(
@@ -198,7 +221,10 @@ def sample_rims(
         grey, normal, center, valid,
     )  # fmt: skip
     wall = (lattice.outer_radius_mm - lattice.rim_radius_mm) * scale
-    return RimSamples(grey, normal, valid, center, max(wall / profile.width_px, 1e-3), profile)
+    return RimSamples(
+        grey, normal, valid, center, lattice.rim_radius_mm * scale, lattice.pitch_mm * scale, float(vector[0] / vector[1]),
+        max(wall / profile.width_px, 1e-3), profile,
+    )  # fmt: skip
 
 
 def solve_rims(samples: RimSamples) -> Rims:
@@ -230,11 +256,28 @@ def _solved(
     functionals = np.column_stack([basis * window[:, None], INSIDE, OUTSIDE]).astype(np.float32)
     dots = samples.grey @ functionals
     width = profile.width_px
-    _solve(dots, samples.normal, samples.valid, which, M, Q, gain_prior, radius * width, REACH * width, out)
-    return Rims(
-        shift_px=out[:, 0:2], covariance_px=out[:, 2:5], gain=out[:, 5], bore=out[:, 6], outside=out[:, 7],
-        strength=out[:, 8], rays=out[:, 9], radius_px=out[:, 10],
+    slope = np.zeros((len(which), 2))
+    _levels_of(dots, samples.valid, which, M, out)
+    _light_slopes(samples.center_px[which], samples.aspect, out, SLOPE_REACH * samples.pitch_px, slope)
+    slope *= samples.radius_px
+    _solve(
+        dots, samples.normal, samples.valid, which, M, Q, gain_prior, slope, samples.aspect, radius * width,
+        REACH * width, out,
     )  # fmt: skip
+    light = slope * [width, width / samples.aspect]
+    return Rims(
+        shift_px=out[:, 0:2] + light_shift(width)[0] * light, covariance_px=out[:, 2:5], gain=out[:, 5], bore=out[:, 6],
+        outside=out[:, 7], strength=out[:, 8], rays=out[:, 9], radius_px=out[:, 10], light_px=light,
+    )  # fmt: skip
+
+
+def light_shift(width_px: float) -> tuple[float, float]:
+    """By how many `Rims.light_px` uneven light moves a rim away from the light, and one sigma of that.
+
+    Brighter edges look further in, even after the gains are accounted for; the more so where they are blurred.
+    """
+    blur = max(0.0, width_px - SHARP_PX)
+    return LIGHT_SHIFT[0] + LIGHT_SHIFT[1] * blur, LIGHT_SHIFT_SIGMA[0] + LIGHT_SHIFT_SIGMA[1] * blur
 
 
 def _px_per_mm(vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array) -> float:
@@ -338,11 +381,80 @@ def _along(
 
 
 @compiled
+def _levels_of(
+    dots: NDArray[np.float32], valid: NDArray[np.bool_], which: NDArray[np.int64], M: Array, out: Array
+) -> None:
+    """Levels, height of the edge and strength of each tube, into `out`, which is laid out as `Rims`."""
+    count = dots.shape[1]
+    work = np.empty(count)
+    for row in range(which.shape[0]):
+        i, o = which[row], out[row]
+        o[:] = 0.0
+        o[8] = -1.0
+        seen = 0
+        for k in range(count):
+            seen += valid[i, k]
+        if seen < LEAST_RAYS:
+            continue
+        o[6], o[7], o[5], spread = _levels(dots[i], valid[i], M, work)
+        o[8] = o[5] * math.sqrt(seen) / (spread + 1e-6)
+        o[9] = seen / count
+
+
+@compiled
+def _light_slopes(center: Array, aspect: float, out: Array, reach: float, slope: Array) -> None:
+    """How the light falls off at each tube, (n, 2) per px: slope of the logarithm of its neighbours' edges' height.
+
+    A plane through the neighbours, drawn towards level light; one reweighting sets stained tubes aside.
+    """
+    n = center.shape[0]
+    for row in range(n):
+        if out[row, 8] < SLOPE_STRENGTH:
+            continue
+        x0, y0 = center[row, 0], center[row, 1] * aspect
+        a, bx, by = math.log(out[row, 5]), 0.0, 0.0
+        for step in range(3):
+            s0, sx, sy, sxx, sxy, syy, t0, tx, ty = 0.0, 0.0, 0.0, SLOPE_PRIOR, 0.0, SLOPE_PRIOR, 0.0, 0.0, 0.0
+            for other in range(n):
+                if out[other, 8] < SLOPE_STRENGTH:
+                    continue
+                dx, dy = (center[other, 0] - x0) / reach, (center[other, 1] * aspect - y0) / reach
+                d2 = dx * dx + dy * dy
+                if d2 >= 1.0:
+                    continue
+                z = math.log(out[other, 5])
+                w = (1.0 - d2) ** 2
+                if step > 0:
+                    r = (z - a - bx * dx - by * dy) / SLOPE_STRAY
+                    if r * r >= 1.0:
+                        continue
+                    w *= (1.0 - r * r) ** 2
+                s0 += w
+                sx += w * dx
+                sy += w * dy
+                sxx += w * dx * dx
+                sxy += w * dx * dy
+                syy += w * dy * dy
+                t0 += w * z
+                tx += w * z * dx
+                ty += w * z * dy
+            if s0 < 2.0:
+                bx, by = 0.0, 0.0
+                break
+            cxx, cxy, cyy = sxx - sx * sx / s0, sxy - sx * sy / s0, syy - sy * sy / s0
+            ux, uy = tx - sx * t0 / s0, ty - sy * t0 / s0
+            det = cxx * cyy - cxy * cxy
+            bx, by = (cyy * ux - cxy * uy) / det, (cxx * uy - cxy * ux) / det
+            a = (t0 - bx * sx - by * sy) / s0
+        slope[row, 0], slope[row, 1] = bx / reach, by / reach
+
+
+@compiled
 def _solve(
     dots: NDArray[np.float32], normal: Array, valid: NDArray[np.bool_], which: NDArray[np.int64], M: Array, Q: Array,
-    gain_prior: float, radius_sigma: float, reach: float, out: Array,
+    gain_prior: float, slope: Array, aspect: float, radius_sigma: float, reach: float, out: Array,
 ) -> None:  # fmt: skip
-    """Shift, radius and covariance of each tube from its rays; `out` is laid out as `Rims`.
+    """Shift, radius and covariance of each tube from its rays, into `out`, which holds the levels already.
 
     Parameters
     ----------
@@ -351,26 +463,18 @@ def _solve(
     M, Q
         (3, 3) normal matrix of the basis (1, T, -T') under the window, and its inverse with the priors added: a ray's
         offset, gain, and gain times shift.
+    slope
+        (len(which), 2) relative change of the light from a tube's centre to its rim, along x and y.
     """
     count = dots.shape[1]
     work, shift, weight = np.empty(count), np.empty(count), np.empty(count)
     for row in range(which.shape[0]):
-        i = which[row]
-        o = out[row]
-        o[:] = 0.0
-        o[8] = -1.0
-        seen = 0
-        for k in range(count):
-            seen += valid[i, k]
-        if seen < LEAST_RAYS:
+        i, o = which[row], out[row]
+        if o[5] <= 0.0 or o[9] == 0.0:
             continue
-        o[6], o[7], gain, spread = _levels(dots[i], valid[i], M, work)
-        o[5] = gain
-        o[8] = gain * math.sqrt(seen) / (spread + 1e-6)
-        o[9] = seen / count
-        if gain <= 0.0:
-            continue
-        _ray_shifts(dots[i], valid[i], M, Q, o[6], gain, gain_prior, reach, shift, weight)
+        _ray_shifts(
+            dots[i], normal[i], valid[i], M, Q, o[6], o[5], gain_prior, slope[row], aspect, reach, shift, weight
+        )
         if not _circle_fit(normal[i], shift, weight, radius_sigma, work, o):
             o[8] = -1.0
 
@@ -406,16 +510,17 @@ def _levels(
 
 @compiled
 def _ray_shifts(
-    dots: NDArray[np.float32], valid: NDArray[np.bool_], M: Array, Q: Array, bore: float, gain: float,
-    gain_prior: float, reach: float, shift: Array, weight: Array,
+    dots: NDArray[np.float32], normal: Array, valid: NDArray[np.bool_], M: Array, Q: Array, bore: float, gain: float,
+    gain_prior: float, slope: Array, aspect: float, reach: float, shift: Array, weight: Array,
 ) -> None:  # fmt: skip
     """Each ray's shift (px) and its weight, 0 where it shows no edge; brighter rays count more, up to a limit."""
     for k in range(dots.shape[0]):
         weight[k] = 0.0
         if not valid[k]:
             continue
+        expected = gain * max(1.0 + slope[0] * normal[k, 0] + slope[1] * normal[k, 1] / aspect, 0.3)
         a = dots[k, 0] - bore * M[0, 0]
-        b = dots[k, 1] - bore * M[0, 1] + gain_prior * M[1, 1] * gain
+        b = dots[k, 1] - bore * M[0, 1] + gain_prior * M[1, 1] * expected
         c = dots[k, 2] - bore * M[0, 2]
         g = Q[1, 0] * a + Q[1, 1] * b + Q[1, 2] * c
         gs = Q[2, 0] * a + Q[2, 1] * b + Q[2, 2] * c
