@@ -104,7 +104,8 @@ def _follow(kind: str, service: LiveService, viewing: Viewing, seconds: float) -
     try:
         while not service.wait(REFRESH_S):
             health = service.health()
-            status.show(status_parts(kind, health, service.latest))
+            now = kind, health, service.latest
+            status.show(status_parts(*now), status_parts(*now, brief=True))
             if health.state is not state and health.state in EVENT_LEVELS:
                 state = health.state
                 viewing.event(f"{kind} {state}", EVENT_LEVELS[state])

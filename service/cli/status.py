@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from service.acquisition.health import AcquisitionState
-from service.vision.measurement import Lock, Origin
+from service.sinks.table import tube_counts
+from service.vision.measurement import Lock
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -17,14 +18,14 @@ if TYPE_CHECKING:
 __all__ = ["status_parts", "summary_lines"]
 
 
-def status_parts(kind: str, health: Health, latest: Answer | None) -> list[str]:
+def status_parts(kind: str, health: Health, latest: Answer | None, *, brief: bool = False) -> list[str]:
     """Parts of the status line, the most important first; `kind` is LIVE, REPLAY or SIMULATED."""
     parts = [_state(kind, health)]
     if latest is not None:
         measurement = latest.results[-1].measurement
         stale = health.state in (AcquisitionState.STALLED, AcquisitionState.LOST, AcquisitionState.FAULTED)
-        parts += [f"last: {p}" if stale and i == 0 else p for i, p in enumerate(_measured(measurement))]
-        parts.append(f"latency {latest.latency_ms:.0f} ms")
+        parts += [f"last: {p}" if stale and i == 0 else p for i, p in enumerate(_measured(measurement, brief))]
+        parts.append(f"{'' if brief else 'latency '}{latest.latency_ms:.0f} ms")
     account = health.account
     parts.append(f"{account.dropped:,} dropped")
     if bad := account.corrupt + account.failed:
@@ -48,17 +49,21 @@ def _state(kind: str, health: Health) -> str:
             return f"{kind} {state}"
 
 
-def _measured(m: Measurement) -> list[str]:
+def _measured(m: Measurement, brief: bool) -> list[str]:
     if m.pose is None:
         return [f"lock none: {m.reason}"]
     doubt = f" ({', '.join(m.doubt)} in doubt)" if m.lock is Lock.PARTIAL else ""
-    measured = sum(o == Origin.MEASURED for o in m.tubes.origin.tolist())
+    measured, inferred = tube_counts(m)
     s = m.pose.sigma
+    distance = f"{m.pose.distance_mm:.2f} ±{s.distance_mm:.2f} mm"
+    tilt = f"{m.pose.tilt_deg:.2f} ±{s.tilt_deg:.2f} deg"
+    if brief:
+        return [f"{m.lock}{doubt}", distance, tilt, f"{measured}+{inferred} tubes"]
     return [
         f"lock {m.lock}{doubt}",
-        f"{measured} tubes measured + {len(m.tubes) - measured} inferred",
-        f"distance {m.pose.distance_mm:.2f} ±{s.distance_mm:.2f} mm",
-        f"tilt {m.pose.tilt_deg:.2f} ±{s.tilt_deg:.2f} deg",
+        f"distance {distance}",
+        f"tilt {tilt}",
+        f"{measured} tubes measured + {inferred} inferred",
     ]
 
 

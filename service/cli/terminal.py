@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 __all__ = ["Interrupted", "StatusLine", "interruptible", "logging_to_terminal", "say", "secure_streams"]
 
 ERASE = "\r\x1b[K"
+SEPARATOR = " · "
 PLAIN_EVERY_S = 5.0
 
 
@@ -117,14 +118,15 @@ class StatusLine:
         self._now_s, self._terminal = now_s, sys.stdout.isatty()
         self._said_s: float | None = None
 
-    def show(self, parts: Sequence[str]) -> None:
-        """Show the parts that fit, the first ones first."""
+    def show(self, parts: Sequence[str], brief: Sequence[str]) -> None:
+        """Show the parts if they fit, else of the brief ones those that do, the first ones first."""
         if self._terminal:
-            text = _fitting(parts, shutil.get_terminal_size().columns - 1)
-            print(f"{ERASE}{text}", end="", flush=True)
+            width = shutil.get_terminal_size().columns - 1
+            whole = SEPARATOR.join(parts)
+            print(f"{ERASE}{whole if len(whole) <= width else _fitting(brief, width)}", end="", flush=True)
         elif self._said_s is None or self._now_s() - self._said_s >= PLAIN_EVERY_S:
             self._said_s = self._now_s()
-            print(" · ".join(parts), flush=True)
+            print(SEPARATOR.join(parts), flush=True)
 
     def clear(self) -> None:
         """Take the line away."""
@@ -135,7 +137,7 @@ class StatusLine:
 def _fitting(parts: Sequence[str], width: int) -> str:
     text = ""
     for part in parts:
-        longer = f"{text} · {part}" if text else part[:width]
+        longer = f"{text}{SEPARATOR}{part}" if text else part[:width]
         if len(longer) > width:
             break
         text = longer

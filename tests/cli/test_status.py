@@ -25,9 +25,16 @@ def line(health=HEALTH, **result):
 
 def test_it_tells_every_figure_with_unit_and_sigma():
     assert line() == (
-        "LIVE 25.0 fps | lock full | 3 tubes measured + 2 inferred | distance 1000.00 ±0.20 mm | tilt 5.00 ±0.05 deg"
+        "LIVE 25.0 fps | lock full | distance 1000.00 ±0.20 mm | tilt 5.00 ±0.05 deg | 3 tubes measured + 2 inferred"
         " | latency 8 ms | 5 dropped"
     )
+
+
+def test_the_brief_form_fits_an_old_terminal_up_to_the_tubes():
+    answer = Answer(make_frame(), (make_result(measured=312, inferred=26),), 8.4)
+    brief = " · ".join(status_parts("REPLAY", HEALTH, answer, brief=True))
+    assert brief == "REPLAY 25.0 fps · full · 1000.00 ±0.20 mm · 5.00 ±0.05 deg · 312+26 tubes · 8 ms · 5 dropped"
+    assert brief.index(" tubes") + len(" tubes") < 80
 
 
 def test_a_doubt_and_a_reason_are_said():
