@@ -102,9 +102,9 @@ class _Analysis:
         try:
             for grabber in grabbers:
                 broken |= not self._source(grabber)
-        except Interrupted:
+        except Interrupted as interrupted:
             say(f"interrupted: {self._said(self._ledger.account())}; what is measured is written")
-            raise
+            return 128 + interrupted.signal
         account = self._ledger.account()
         say(self._said(account))
         return int(broken or account.failed > 0 or not account.balanced())

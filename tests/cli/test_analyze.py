@@ -210,3 +210,4 @@ def test_an_interruption_keeps_what_was_measured(analyze, vision, video, tmp_pat
     assert status == 130
     assert [line["sequence"] for line in lines] == [0, 1, 2, 3, 4]
     assert "interrupted: 6 frames, 1 unmeasured; 5 of 5 pictures locked; what is measured is written" in words
+    assert words.count("interrupted") == 1
