@@ -21,6 +21,7 @@ __all__ = ["QueuedSink", "SinkFailedError"]
 
 log = logging.getLogger(__name__)
 
+EVENTS_CAPACITY = 100
 DRAIN_SHARE = 0.7
 """Of the time to close: for delivering what waits. The rest is for the sink's own end."""
 
@@ -46,12 +47,15 @@ class QueuedSink(ABC):
         self.name = name
         self._capacity = capacity
         self._queue: collections.deque[tuple[Frame, Sequence[FrameResult]]] = collections.deque()
+        self._events: collections.deque[tuple[str, str]] = collections.deque()
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, name=f"bowlsight-{name}", daemon=True)
         self._closing: tuple[float, float] | None = None  # once begun: until when to deliver, until when to end
         self._in_hand = self._abandoned = False
         self._accepted = self._dropped = self._failed = 0
         self._failure: str | None = None
+        self.events_dropped = 0
+        """Events given up because too many waited."""
 
     # -- hooks -------------------------------------------------------------------------------------------------------
 
@@ -60,12 +64,15 @@ class QueuedSink(ABC):
         """Take what delivering needs, in the caller's thread; where that raises, nothing stays taken."""
 
     @abstractmethod
-    def _do_consume(self, frame: Frame, results: Sequence[FrameResult]) -> None:
-        """Deliver one frame, in the sink's thread. May block. May raise."""
+    def _do_consume(self, frame: Frame, results: Sequence[FrameResult]) -> bool:
+        """Deliver one frame, in the sink's thread; False where it was let go instead. May block. May raise."""
 
     @abstractmethod
     def _do_finish(self, timeout_s: float) -> None:
         """Flush and let go, in the sink's thread, within about `timeout_s`."""
+
+    def _do_event(self, text: str, level: str) -> None:  # noqa: B027 - nor here
+        """Show or keep an event, in the sink's thread; sinks that show none ignore it. May raise."""
 
     def _do_abandon(self) -> None:  # noqa: B027 - most sinks have nothing to do here
         """See to it that a thread that did not end in time holds nothing else up, in the thread of `close`."""
@@ -98,6 +105,15 @@ class QueuedSink(ABC):
                 self._dropped += 1
             self._changed.notify()
 
+    def event(self, text: str, level: str = "INFO") -> None:
+        """Pass on a line of text (INFO, WARN or ERROR) before the frames that wait. Returns at once, never raises."""
+        with self._changed:
+            self._events.append((text, level))
+            if len(self._events) > EVENTS_CAPACITY:
+                self._events.popleft()
+                self.events_dropped += 1
+            self._changed.notify()
+
     def close(self, timeout_s: float) -> None:
         """Deliver what can be delivered in time, count the rest as dropped, end the thread. May be repeated."""
         with self._changed:
@@ -119,29 +135,47 @@ class QueuedSink(ABC):
     # -- the thread --------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
-        while (item := self._take()) is not None:
-            self._deliver(*item)
+        while self._wait():
+            self._deliver_events()
+            if (item := self._take()) is not None:
+                self._deliver(*item)
         assert self._closing is not None, "ends only when closed"
         try:
             self._do_finish(max(0.0, self._closing[1] - time.monotonic()))
         except Exception as error:
             log.warning("%s: did not close cleanly: %s", self.name, error, exc_info=log.isEnabledFor(logging.DEBUG))
 
-    def _take(self) -> tuple[Frame, Sequence[FrameResult]] | None:
+    def _wait(self) -> bool:
+        """Wait for something to deliver; False where nothing will come any more."""
         with self._changed:
-            while not self._queue and self._closing is None:
+            while not (self._queue or self._events or self._closing):
                 self._changed.wait()
             if self._closing is not None and time.monotonic() >= self._closing[0]:
                 self._drop_waiting()
+            return bool(self._queue or self._events)
+
+    def _deliver_events(self) -> None:
+        while True:
+            with self._changed:
+                if not self._events:
+                    return
+                text, level = self._events.popleft()
+            try:
+                self._do_event(text, level)
+            except Exception as error:  # noqa: BLE001 - told; what follows may go well
+                log.warning("%s: event %r not delivered: %s", self.name, text, error)
+
+    def _take(self) -> tuple[Frame, Sequence[FrameResult]] | None:
+        with self._changed:
             if not self._queue:
                 return None
             self._in_hand = True
             return self._queue.popleft()
 
     def _deliver(self, frame: Frame, results: Sequence[FrameResult]) -> None:
-        error: Exception | None = None
+        delivered, error = False, None
         try:
-            self._do_consume(frame, results)
+            delivered = self._do_consume(frame, results)
         except Exception as raised:  # noqa: BLE001 - counted and told below; the next frame may go well
             error = raised
         with self._changed:
@@ -149,6 +183,7 @@ class QueuedSink(ABC):
                 return
             self._in_hand = False
             if error is None:
+                self._dropped += not delivered
                 return
             self._failed += 1
             if isinstance(error, SinkFailedError):
@@ -170,6 +205,8 @@ class QueuedSink(ABC):
     def _drop_waiting(self) -> None:
         self._dropped += len(self._queue)
         self._queue.clear()
+        self.events_dropped += len(self._events)
+        self._events.clear()
 
     def _abandon(self) -> None:
         with self._changed:

@@ -20,11 +20,11 @@ def frame(sequence):
 class Recorder(QueuedSink):
     """Delivers to a list; waits at `gate` first, and raises where `raising` says so."""
 
-    def __init__(self, capacity=4, raising=None, finish=None):
+    def __init__(self, capacity=4, raising=None, skipping=(), finish=None):
         super().__init__("recorder", capacity)
         self.gate, self.reached = threading.Event(), threading.Event()
         self.gate.set()
-        self.raising, self.finish = raising or {}, finish
+        self.raising, self.skipping, self.finish = raising or {}, skipping, finish
         self.delivered, self.started, self.finished, self.abandoned = [], 0, 0, 0
 
     def _do_start(self):
@@ -35,7 +35,15 @@ class Recorder(QueuedSink):
         self.gate.wait(LONG_S)
         if frame.sequence in self.raising:
             raise self.raising[frame.sequence]
+        if frame.sequence in self.skipping:
+            return False
         self.delivered.append(frame.sequence)
+        return True
+
+    def _do_event(self, text, level):
+        if text == "raise":
+            raise OSError("no room")
+        self.delivered.append((text, level))
 
     def _do_finish(self, timeout_s):
         self.finished += 1
@@ -180,3 +188,45 @@ def test_a_sink_that_cannot_start_leaves_no_thread(monkeypatch):
         sink.start()
     sink.close(LONG_S)
     assert not sink._thread.is_alive()
+
+
+def test_events_go_before_the_frames_that_wait_and_need_no_frame(sink):
+    hold(sink)
+    sink.accept(frame(1), ())
+    sink.event("lamp off", "WARN")
+    sink.gate.set()
+    sink.close(LONG_S)
+    assert sink.delivered == [0, ("lamp off", "WARN"), 1]
+    alone = Recorder()
+    alone.start()
+    alone.event("only this")
+    alone.close(LONG_S)
+    assert alone.delivered == [("only this", "INFO")]
+
+
+def test_an_event_that_fails_is_told_and_costs_no_frame(sink, caplog):
+    sink.event("raise")
+    sink.accept(frame(0), ())
+    sink.close(LONG_S)
+    assert sink.delivered == [0]
+    assert sink.stats() == SinkStats(accepted=1)
+    assert "event 'raise' not delivered: no room" in caplog.text
+
+
+def test_too_many_events_forget_the_oldest_and_count_it(sink):
+    hold(sink)
+    for i in range(103):
+        sink.event(str(i))
+    sink.gate.set()
+    sink.close(LONG_S)
+    assert sink.events_dropped == 3
+    assert sink.delivered[:2] == [0, ("3", "INFO")]
+
+
+@pytest.mark.parametrize("sink", [{"skipping": (1, 2)}], indirect=True)
+def test_a_frame_that_is_let_go_counts_as_dropped(sink):
+    for i in range(4):
+        sink.accept(frame(i), ())
+    sink.close(LONG_S)
+    assert sink.delivered == [0, 3]
+    assert sink.stats() == SinkStats(accepted=4, dropped=2)

@@ -1,0 +1,114 @@
+"""The live viewer: rerun's data served on loopback, to browsers and native viewers, and the page for the browser."""
+
+from __future__ import annotations
+
+import logging
+import shlex
+import sysconfig
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from drivers.errors import ConfigError
+from service.sinks.ports import free_port, is_loopback, listens
+from service.sinks.quiet_rerun import rr
+from service.sinks.viewer_pace import Pace
+from service.sinks.viewer_page import ViewerPage, rerun_program
+from service.sinks.viewer_stream import ViewerStream
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from drivers.frame import Frame
+    from service.results import FrameResult
+    from service.sinks.viewer_drawing import Watch
+
+__all__ = ["ViewerSink"]
+
+log = logging.getLogger(__name__)
+
+CAPACITY = 8
+GRPC_PORT, WEB_PORT = 9876, 9090
+START_TIMEOUT_S = 5.0
+BY_FRAME = rr.ChunkBatcherConfig(flush_tick=1.0, flush_num_bytes=2**30, flush_num_rows=2**20)
+"""Send nothing before a frame is complete: half of one would be shown with half of the last."""
+
+
+class ViewerSink(ViewerStream):
+    """Shows frames live. Whatever becomes of a viewer costs frames of this sink only, and they are counted.
+
+    Parameters
+    ----------
+    watch
+        What is shown.
+    address
+        Where to listen. There is no authentication: an address beyond loopback lets anybody there look on.
+    port, web_port
+        Of the data and of the page; None: 9876 and 9090, or the next free ones.
+    memory_limit
+        What is kept for viewers that come later: 512MiB hold the last minute of 640x480.
+    """
+
+    def __init__(
+        self,
+        watch: Watch,
+        *,
+        address: str = "127.0.0.1",
+        port: int | None = None,
+        web_port: int | None = None,
+        memory_limit: str = "512MiB",
+    ) -> None:
+        super().__init__("viewer", CAPACITY, watch, compress=False, batching=BY_FRAME)
+        self._address, self._memory_limit = address, memory_limit
+        self._wanted_port, self._wanted_web_port = port, web_port
+        self._page: ViewerPage | None = None
+        self._pace: Pace | None = None
+
+    @property
+    def url(self) -> str:
+        """What to open in a browser, once started."""
+        assert self._page is not None, "started"
+        return self._page.url
+
+    @property
+    def grpc_url(self) -> str:
+        """What to open in a native viewer, once started."""
+        assert self._page is not None, "started"
+        return self._page.grpc_url
+
+    @property
+    def native_command(self) -> str:
+        """The command that opens the native viewer, once started."""
+        script = Path(sysconfig.get_path("scripts")) / "rerun"
+        return shlex.join([str(script if script.exists() else rerun_program()), self.grpc_url])
+
+    def close(self, timeout_s: float) -> None:
+        """As every sink; the page goes first."""
+        if self._page is not None:
+            self._page.close()
+        super().close(timeout_s)
+
+    def _do_consume(self, frame: Frame, results: Sequence[FrameResult]) -> bool:
+        assert self._pace is not None, "started"
+        if not self._pace.due():
+            return False
+        super()._do_consume(frame, results)
+        assert self._stream is not None, "started"
+        self._stream.flush(timeout_sec=0.0)
+        return True
+
+    def _do_open(self, stream: rr.RecordingStream) -> None:
+        address = self._address
+        port = free_port(address, self._wanted_port, GRPC_PORT, "viewer port")
+        web_port = free_port(address, self._wanted_web_port, WEB_PORT, "viewer web port")
+        if not is_loopback(address):
+            log.warning("viewer: listens on %s without authentication: whoever reaches it can look on", address)
+        sink = rr.GrpcServerSink(address, port, server_memory_limit=self._memory_limit)
+        stream.set_sinks(sink)
+        if not listens(address, port, START_TIMEOUT_S):
+            raise ConfigError(f"viewer port = {port} at {address}: rerun does not listen there; name another port")
+        self._page = ViewerPage(address, web_port, f"rerun+http://{address}:{port}/proxy")
+        self._page.start()
+        self._pace = Pace(port)
+        for what, used, default in (("port", port, GRPC_PORT), ("web port", web_port, WEB_PORT)):
+            if getattr(self, f"_wanted_{what.replace(' ', '_')}") is None and used != default:
+                log.warning("viewer: %s %d is in use; listening on %d instead", what, default, used)
