@@ -14,8 +14,11 @@ NEXT_PORTS = 50
 
 
 def is_loopback(address: str) -> bool:
-    """Whether only programs of this machine reach `address`."""
-    return ipaddress.ip_address(address).is_loopback
+    """Whether `address` is an IPv4 address that only programs of this machine reach."""
+    try:
+        return ipaddress.IPv4Address(address).is_loopback
+    except ipaddress.AddressValueError:
+        return False
 
 
 def free_port(address: str, wanted: int | None, default: int, key: str) -> int:
@@ -49,7 +52,7 @@ def free_port(address: str, wanted: int | None, default: int, key: str) -> int:
 
 
 def _try_to_bind(address: str, port: int) -> None:
-    with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as s:
+    with socket.socket() as s:
         s.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # ports of connections just closed are free
         s.bind((address, port))
 

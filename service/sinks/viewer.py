@@ -41,7 +41,7 @@ class ViewerSink(ViewerStream):
     watch
         What is shown.
     address
-        Where to listen. There is no authentication: an address beyond loopback lets anybody there look on.
+        Where to listen: an IPv4 address of loopback, for there is no authentication.
     port, web_port
         Of the data and of the page; None: 9876 and 9090, or the next free ones.
     memory_limit
@@ -92,16 +92,26 @@ class ViewerSink(ViewerStream):
         if not self._pace.due():
             return False
         super()._do_consume(frame, results)
-        assert self._stream is not None, "started"
-        self._stream.flush(timeout_sec=0.0)
+        self._send()
         return True
+
+    def _do_event(self, text: str, level: str) -> None:
+        super()._do_event(text, level)
+        self._send()
+
+    def _send(self) -> None:
+        assert self._stream is not None, "started"
+        self._stream.flush(timeout_sec=0.0)  # no time to wait: only begins
 
     def _do_open(self, stream: rr.RecordingStream) -> None:
         address = self._address
+        if not is_loopback(address):
+            raise ConfigError(
+                f"viewer address = {address!r}: must be of this machine, as 127.0.0.1: nobody who looks on is asked "
+                "for a password; from elsewhere come by way of ssh -L"
+            )
         port = free_port(address, self._wanted_port, GRPC_PORT, "viewer port")
         web_port = free_port(address, self._wanted_web_port, WEB_PORT, "viewer web port")
-        if not is_loopback(address):
-            log.warning("viewer: listens on %s without authentication: whoever reaches it can look on", address)
         sink = rr.GrpcServerSink(address, port, server_memory_limit=self._memory_limit)
         stream.set_sinks(sink)
         if not listens(address, port, START_TIMEOUT_S):

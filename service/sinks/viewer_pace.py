@@ -17,30 +17,29 @@ if TYPE_CHECKING:
 
 __all__ = ["Pace", "backlog_bytes"]
 
-BEHIND_BYTES = 3_000_000
-"""Less than the kernel would take: ten frames of 640x480."""
+BACKLOG_BYTES = 50_000
+"""Below what a native viewer that does not read lets the kernel take: 0.2 MB. A browser lets it take 10."""
+LOOK_S, LOOKS = 0.25, 4
+"""A viewer is behind that had a backlog at so many looks at the kernel's tables in a row; a look takes milliseconds."""
 PERIOD_S = 0.5
 """From frame to frame while a viewer is behind."""
-LOOK_S = 0.25
-"""From one look at the kernel's tables, which takes milliseconds, to the next."""
 ESTABLISHED = "01"
-TABLES = (Path("/proc/self/net/tcp"), Path("/proc/self/net/tcp6"))
+TABLE = Path("/proc/self/net/tcp")
 
 
-def backlog_bytes(port: int, tables: tuple[Path, ...] = TABLES) -> int:
+def backlog_bytes(port: int, table: Path = TABLE) -> int:
     """Bytes that wait in the kernel for the slowest client of `port`: unsent here, and unread there if it runs here."""
     waiting: collections.Counter[str] = collections.Counter()
     suffix = f":{port:04X}"
-    for table in tables:
-        for line in table.read_text().splitlines()[1:] if table.exists() else []:
-            local, remote, state, queues = line.split(maxsplit=5)[1:5]
-            if state != ESTABLISHED:
-                continue
-            unsent, unread = queues.split(":")
-            if local.endswith(suffix):
-                waiting[remote] += int(unsent, 16)
-            elif remote.endswith(suffix):
-                waiting[local] += int(unread, 16)
+    for line in table.read_text().splitlines()[1:]:
+        local, remote, state, queues = line.split(maxsplit=5)[1:5]
+        if state != ESTABLISHED:
+            continue
+        unsent, unread = queues.split(":")
+        if local.endswith(suffix):
+            waiting[remote] += int(unsent, 16)
+        elif remote.endswith(suffix):
+            waiting[local] += int(unread, 16)
     return max(waiting.values(), default=0)
 
 
@@ -52,15 +51,15 @@ class Pace:
     ) -> None:
         self._port, self._backlog, self._monotonic = port, backlog, monotonic
         self._sent_s = self._looked_s = -math.inf
-        self._behind = False
+        self._backlogs = 0
 
     def due(self) -> bool:
         """Whether the next frame is to be sent."""
         now = self._monotonic()
         if now - self._looked_s >= LOOK_S:
             self._looked_s = now
-            self._behind = self._backlog(self._port) > BEHIND_BYTES
-        if self._behind and now - self._sent_s < PERIOD_S:
+            self._backlogs = self._backlogs + 1 if self._backlog(self._port) > BACKLOG_BYTES else 0
+        if self._backlogs >= LOOKS and now - self._sent_s < PERIOD_S:
             return False
         self._sent_s = now
         return True

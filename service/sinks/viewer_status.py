@@ -51,7 +51,7 @@ def status_text(result: FrameResult, title: str = "") -> str:
 
 
 def _tubes(tubes: Tubes) -> str:
-    plugged, absent = (np.count_nonzero(tubes.state == s) for s in (TubeState.PLUGGED, TubeState.ABSENT))
     measured = np.count_nonzero(tubes.origin == Origin.MEASURED)
-    said = [f"{measured} measured", f"{len(tubes) - measured} predicted"]
-    return ", ".join([*said, *([f"{plugged} plugged"] if plugged else []), *([f"{absent} absent"] if absent else [])])
+    special = {s.name.lower(): np.count_nonzero(tubes.state == s) for s in (TubeState.PLUGGED, TubeState.ABSENT)}
+    among = ", ".join(f"{count} {name}" for name, count in special.items() if count)
+    return f"{measured} measured, {len(tubes) - measured} predicted" + (f"; among them {among}" if among else "")

@@ -30,9 +30,24 @@ def result_of(frame, lock, tubes, pose, *, reason=None, doubt=(), field="progres
     return FrameResult(frame.source, frame.sequence, frame.timestamp_ns, frame.generation, m)
 
 
-def made_up(sequence=0, *, lock=Lock.FULL, reason=None, doubt=(), size=(160, 120), generation=1, field="progressive"):
-    """A grey frame and its result: four measured tubes, two predicted, a plug and an absent one."""
-    frame = frame_of(np.full(size[::-1], 90, np.uint8), sequence, generation)
+def noise(size):
+    """A picture that cannot be compressed, as a real one hardly can."""
+    return np.random.default_rng(1).integers(0, 256, size[::-1], np.uint8)
+
+
+def made_up(
+    sequence=0,
+    *,
+    lock=Lock.FULL,
+    reason=None,
+    doubt=(),
+    size=(160, 120),
+    generation=1,
+    field="progressive",
+    pixels=None,
+):
+    """A frame, grey if nothing else, and its result: four measured tubes, two predicted, a plug and an absent one."""
+    frame = frame_of(np.full(size[::-1], 90, np.uint8) if pixels is None else pixels, sequence, generation)
     if lock is Lock.NONE:
         return frame, result_of(frame, lock, Tubes.none(), None, reason=reason or "no tubes seen")
     camera = Camera(size, (0.0056, 0.0056), 2.0, TsaiLens(), ((size[0] - 1) / 2, (size[1] - 1) / 2))

@@ -1,5 +1,6 @@
 """Reading back what was logged for the viewer, with rerun's own reader."""
 
+import contextlib
 import os
 import subprocess
 import time
@@ -19,8 +20,9 @@ class Rrd:
 
     def __init__(self, path: Path):
         self.rows, self.static = {}, {}
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # a file still being written has no footer: that is what we read
+        # a file still being written may be absent, empty or torn, and has no footer: whoever reads it reads again
+        with warnings.catch_warnings(), contextlib.suppress(ValueError, RuntimeError):
+            warnings.simplefilter("ignore")
             for chunk in RrdReader(path).stream():
                 rows = _plain(chunk.to_record_batch()).to_pylist()
                 (self.static if chunk.is_static else self.rows).setdefault(chunk.entity_path, []).extend(rows)

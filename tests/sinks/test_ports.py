@@ -49,7 +49,7 @@ def test_what_listens_is_told_from_what_does_not(taken):
         assert not listens(HERE, s.getsockname()[1], 0.05)
 
 
-def test_loopback_is_known_in_all_its_forms():
-    assert [is_loopback(a) for a in ("127.0.0.1", "127.1.2.3", "::1")] == [True] * 3
-    assert not is_loopback("0.0.0.0")
-    assert not is_loopback("192.168.1.4")
+def test_loopback_is_told_from_what_others_reach():
+    assert is_loopback("127.0.0.1")
+    assert is_loopback("127.1.2.3")
+    assert not any(is_loopback(a) for a in ("0.0.0.0", "192.168.1.4", "::1", "localhost", ""))
