@@ -1,0 +1,1 @@
+"""Which tube is it: names, anchors, maps."""
