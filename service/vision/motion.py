@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 __all__ = ["Motion", "aligned", "centred"]
 
 
+ACCELERATION_MM_PER_S2 = 200.0
+"""What an arm may do while nobody looks."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """A pose at a time, with the speed it moves at.
@@ -58,6 +62,10 @@ class Motion:
         speed = (rotation[:, :2] @ anchor_mm + translation_mm - before) / dt
         return Motion(rotation, translation_mm, anchor_mm, time_ns, turn, speed)
 
+    def travelled_mm(self, seconds: float) -> float:
+        """How far the sheet may have moved across the view: at the last speed, or from rest."""
+        return float(np.hypot(*self.speed_mm_per_s[:2])) * seconds + 0.5 * ACCELERATION_MM_PER_S2 * seconds**2
+
     @staticmethod
     def standing(rotation: Array, translation_mm: Array, time_ns: int, anchor_mm: Array) -> Motion:
         """A first pose, of which no speed is known."""
@@ -84,7 +92,7 @@ def centred(rotation: Array, translation_mm: Array, lattice: Lattice) -> tuple[A
 
 def aligned(
     rotation: Array, translation_mm: Array, reference: tuple[Array, Array], lattice: Lattice
-) -> tuple[Array, Array, float]:
+) -> tuple[Array, Array]:
     """The same view, indexed as `reference` would have it, and how far from that it lies.
 
     Returns
@@ -99,8 +107,7 @@ def aligned(
     there = looked_at(*reference)
     index = np.rint(lattice.lattice_coordinates((here - there)[None]))[0]
     shift = lattice.sheet_points(index[:1], index[1:])[0]
-    rest = here - there - shift
-    return rotation, translation_mm + rotation[:, :2] @ shift, float(np.hypot(*rest)) / lattice.pitch_mm
+    return rotation, translation_mm + rotation[:, :2] @ shift
 
 
 def _turned_nearest(rotation: Array, reference: Array, lattice: Lattice) -> Array:

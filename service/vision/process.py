@@ -153,16 +153,17 @@ class Measurer:
             return Measurement(name, Lock.NONE, found.reason, (), Tubes.none(), None, time_ns, watch.elapsed_ms())
         pose = pose_of(found.refined, self._lattice, self._camera, parity)
         tubes = tubes_of(found.refined, self._lattice, parity)
-        doubt = doubts(found.refined, pose, self._lattice)
+        doubt = doubts(found, found.refined, pose, self._lattice)
         lock = Lock.PARTIAL if doubt else Lock.FULL
         watch.lap("pose")
         return Measurement(name, lock, None, doubt, tubes, pose, time_ns, watch.elapsed_ms())
 
 
-def doubts(refined: Refined, pose: Pose, lattice: Lattice) -> tuple[Doubt, ...]:
+def doubts(seen: Seen, refined: Refined, pose: Pose, lattice: Lattice) -> tuple[Doubt, ...]:
     """What a locked pose is unsure of."""
     radius = lattice.rim_radius_mm * float(np.median(np.linalg.norm(refined.place[:, 0, :2], axis=1)))
     found = {
+        Doubt.INDEX: seen.index_in_doubt,
         Doubt.SCALE: pose.sigma.distance_mm > UNSURE_SCALE * pose.distance_mm,
         Doubt.FOCUS: refined.profile.width_px > max(BLURRED * radius, BLURRED_PX),
         Doubt.LIGHT: refined.used.mean() < DIM_SHARE,

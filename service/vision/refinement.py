@@ -122,6 +122,13 @@ class Refined:
     state: NDArray[np.uint8]
     parity: int | None
 
+    def shifted(self, row: int, column: int, lattice: Lattice) -> Refined:
+        """The same with every place's index grown by (row, column)."""
+        step = lattice.sheet_points(np.array([row]), np.array([column]))[0]
+        sites = Sites(self.sites.row + row, self.sites.column + column, self.sites.sheet_mm + step)
+        translation = self.fit.translation_mm - self.fit.rotation[:, :2] @ step
+        return replace(self, sites=sites, fit=replace(self.fit, translation_mm=translation))
+
 
 def refine(
     image: Image,

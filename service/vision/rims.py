@@ -222,7 +222,8 @@ def sample_rims(
     )  # fmt: skip
     wall = (lattice.outer_radius_mm - lattice.rim_radius_mm) * scale
     return RimSamples(
-        grey, normal, valid, center, lattice.rim_radius_mm * scale, lattice.pitch_mm * scale, float(vector[0] / vector[1]),
+        grey, normal, valid, center, lattice.rim_radius_mm * scale, lattice.pitch_mm * scale,
+        float(vector[0] / vector[1]),
         max(wall / profile.width_px, 1e-3), profile,
     )  # fmt: skip
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from service.vision.acquire import candidates
+from service.vision.evidence import NEAR, WIDE, PlaceMap
 from service.vision.lock import LEAST_TUBES, MOST_STRAY, Proof, prove
 from service.vision.motion import Motion, aligned, centred, looked_at
 from service.vision.pose import prior_of
@@ -43,6 +44,12 @@ KEPT_SHARE = 0.5
 """A pose whose share of measured tubes falls below this part of the last one is looked at again."""
 FIRST_PASS = 64
 """Tubes that the first pass over a tracked picture measures."""
+SAFE_GAP = 0.2
+"""Pitches off the expected place from which a neighbouring tube may be meant."""
+UNSEEN_S = 0.1
+"""Time without a pose beyond which the sheet's travel counts."""
+SUSPICIOUS = 5.0
+"""Margin (natural logarithm) from which a better fit elsewhere puts the index in doubt."""
 SMOOTH = 0.2
 """How fast the running figures follow a new picture."""
 
@@ -59,14 +66,14 @@ class Seen:
         Why there is none, in words.
     gap
         How far from its expected place the sheet was found, in pitches; NaN where nothing was expected.
-    found_anew
-        Whether it had to be searched for.
+    index_in_doubt
+        Whether the index may have slipped, and nothing has shown yet that it has not.
     """
 
     refined: Refined | None
     reason: str | None
     gap: float
-    found_anew: bool
+    index_in_doubt: bool = False
 
 
 class Tracker:
@@ -85,9 +92,11 @@ class Tracker:
         self._profile: EdgeProfile | None = None
         self._radius_px: float | None = None
         self._share = 0.0
+        self._doubt = False
+        self._map = PlaceMap(lattice)
 
     def copy(self) -> Tracker:
-        """A tracker that goes its own way from here; all that it keeps is immutable."""
+        """A tracker that goes its own way from here; they share the map, all else that it keeps is immutable."""
         return copy(self)
 
     def motion_px(self, period_ns: int) -> float:
@@ -113,9 +122,33 @@ class Tracker:
         seen = self._track(image, known, start, parity, time_ns, watch)
         if seen is None:
             seen = self._acquire(image, known, parity, time_ns, watch)
-        if seen.refined is not None:
-            self.follow(seen.refined, parity, time_ns)
-        return seen
+        if seen.refined is None:
+            return seen
+        if self.motion is not None and self._may_have_slipped(seen.gap, time_ns):
+            self._doubt = True
+        refined = self._settled(seen.refined)
+        self.follow(refined, parity, time_ns)
+        return replace(seen, refined=refined, index_in_doubt=self._doubt)
+
+    def _may_have_slipped(self, gap: float, time_ns: int) -> bool:
+        """Whether the sheet moved so far, unexpected or unseen, that a neighbouring tube may be taken for it."""
+        if self.motion is None or gap > SAFE_GAP:
+            return True
+        unseen_s = (time_ns - self.motion.time_ns) * 1e-9
+        return unseen_s > UNSEEN_S and self.motion.travelled_mm(unseen_s) > SAFE_GAP * self.lattice.pitch_mm
+
+    def _settled(self, refined: Refined) -> Refined:
+        """Compare a picture with the map of what it shows: a slip is mended where that is beyond doubt."""
+        verdict = self._map.compare(refined, WIDE if self._doubt else NEAR)
+        if verdict is not None and verdict.decisive:
+            self._doubt = False
+            if verdict.slipped:
+                refined = refined.shifted(verdict.row, verdict.column, self.lattice)
+        elif verdict is not None and verdict.slipped and verdict.margin > SUSPICIOUS:
+            self._doubt = True
+        if not self._doubt:
+            self._map.learn(refined)
+        return refined
 
     def _track(
         self, image: Image, known: Camera, start: Camera, parity: int | None, time_ns: int, watch: Stopwatch
@@ -140,7 +173,7 @@ class Tracker:
         if refined is None or not self._holds(refined):
             return None
         off = looked_at(refined.fit.rotation, refined.fit.translation_mm) - looked_at(rotation, translation)
-        return Seen(refined, None, float(np.hypot(*off)) / self.lattice.pitch_mm, found_anew=False)
+        return Seen(refined, None, float(np.hypot(*off)) / self.lattice.pitch_mm)
 
     def _holds(self, refined: Refined | None) -> bool:
         """Whether a tracked pose shows enough of its tubes, where the last one did."""
@@ -150,10 +183,10 @@ class Tracker:
 
     def _acquire(self, image: Image, known: Camera, parity: int | None, time_ns: int, watch: Stopwatch) -> Seen:
         """Find the sheet with nothing to go by, indexed as before where it was known before."""
-        best: tuple[Refined, Proof, float] | None = None
+        best: tuple[Refined, Proof] | None = None
         reason = "no tube pattern is seen"
         for tried, candidate in enumerate(candidates(image, known, self.lattice, watch, self._radius_px)):
-            rotation, translation, gap = self._indexed(candidate.fit, time_ns)
+            rotation, translation = self._indexed(candidate.fit, time_ns)
             camera = candidate.fit.camera
             refined = refine(
                 image, camera, self.lattice, prior_of(known, camera.focal_length_mm), rotation, translation,
@@ -166,17 +199,17 @@ class Tracker:
                 if proof.reason is not None:
                     reason = proof.reason
                 elif best is None or refined.used.sum() > best[0].used.sum():
-                    best = refined, proof, gap
+                    best = refined, proof
             if tried >= TRIES - 1 or (best is not None and best[1].share > CERTAIN_SHARE):
                 break
         if best is None:
-            return Seen(None, reason, math.nan, found_anew=True)
-        return Seen(best[0], None, best[2], found_anew=True)
+            return Seen(None, reason, math.nan)
+        return Seen(best[0], None, math.inf if self.motion is not None else math.nan)
 
-    def _indexed(self, fit: Fit, time_ns: int) -> tuple[Array, Array, float]:
+    def _indexed(self, fit: Fit, time_ns: int) -> tuple[Array, Array]:
         """Give a newly found pose the index that the last one would give it, or one of its own."""
         if self.motion is None:
-            return *centred(fit.rotation, fit.translation_mm, self.lattice), math.nan
+            return centred(fit.rotation, fit.translation_mm, self.lattice)
         return aligned(fit.rotation, fit.translation_mm, self.motion.at(time_ns), self.lattice)
 
     def follow(self, refined: Refined, parity: int | None, time_ns: int) -> None:
