@@ -144,5 +144,6 @@ def _posterior(refined: Refined, lattice: Lattice) -> tuple[Array, Array]:
     center[u] += np.einsum("nij,nj->ni", gain, refined.center_px[u] - px[u])
     rest = np.eye(2) - gain
     covariance = gain @ C + rest @ predicted[u] @ rest.transpose(0, 2, 1)
-    sigma[u] = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2)
+    sigma[u] = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2 + refined.misfit.variance_px2[u])
+    sigma = np.sqrt(sigma**2 + refined.bias.variance_px2(place))
     return center, sigma

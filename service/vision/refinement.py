@@ -8,20 +8,18 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.pose import TUKEY, Fit, fit_pose, linearise
+from service.vision.pose import Fit, fit_pose, linearise
 from service.vision.rims import (
     EdgeProfile,
     Rims,
-    RimSamples,
-    light_shift,
     profile_of,
     sample_rims,
-    solve_feet,
     solve_rims,
     start_profile,
 )
 from service.vision.sites import Sites, sites_in_picture
 from service.vision.states import tube_states
+from service.vision.systematics import edge_bias, smooth_misfit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,13 +28,14 @@ if TYPE_CHECKING:
     from service.vision.lattice import Lattice
     from service.vision.pose import Prior
     from service.vision.stopwatch import Stopwatch
+    from service.vision.systematics import EdgeBias, Misfit
 
     Array: TypeAlias = NDArray[np.float64]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-__all__ = ["EdgeBias", "Refined", "accepted", "projected", "refine"]
+__all__ = ["Refined", "accepted", "projected", "refine"]
 
-LEAST_STRENGTH = 2.5
+LEAST_STRENGTH = 2.4
 """Edges weaker than this are noise: 2 % of bare plate passes, fewer once radius and place must fit too."""
 LEAST_RAYS = 0.4
 LEAST_TUBES = 6
@@ -45,38 +44,6 @@ NARROWING = 0.36
 """Most that the search narrows from pass to pass."""
 LIKELY_WIDTH_PX = 1.2
 """Width to go on with where no clear edge tells it."""
-BIAS_STRENGTH = 3.1
-BIAS_TUBES = 8
-BIAS_PRIOR = (0.25, 0.25, 1.8, 1.0)
-"""One sigma of the common shift (x, y mm), of the edges' apparent depth (mm) and of the light's part before a picture
-says anything."""
-BIAS_FLOOR = (0.01, 0.01, 0.05, 0.0)
-"""What the correction leaves at the least, measured on truth; the light's part has its own, `light_shift`."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class EdgeBias:
-    """What light does to all edges of a picture in common.
-
-    Lit bore walls and glints on weld beads move every edge alike (`shift_px`) and outwards or inwards with the angle of
-    view, just as if all rims lay `depth_mm` deeper, or with the light's own slope. No residual of the pose shows it.
-
-    Attributes
-    ----------
-    shift_px, depth_mm, light
-        The estimate; `light` in units of `Rims.light_px`.
-    covariance
-        (4, 4) of (x px, y px, depth mm, light): what remains unknown of it.
-    """
-
-    shift_px: NDArray[np.float64]
-    depth_mm: float
-    light: float
-    covariance: NDArray[np.float64]
-
-    def of(self, place: Array, light_px: Array) -> Array:
-        """The shift of each edge, (n, 2) px."""
-        return np.asarray(self.shift_px + self.depth_mm * place[:, :, 2] + self.light * light_px, np.float64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,6 +68,8 @@ class Refined:
         How edges look here.
     bias
         What the light was found to shift in common.
+    misfit
+        What is smooth in the residuals; it is in the covariance of `fit`.
     scatter_factor
         What the lattice's scatter was taken times.
     state
@@ -118,6 +87,7 @@ class Refined:
     place: NDArray[np.float64]
     profile: EdgeProfile
     bias: EdgeBias
+    misfit: Misfit
     scatter_factor: float
     state: NDArray[np.uint8]
     parity: int | None
@@ -183,7 +153,7 @@ def refine(
         bias = None
         if step == passes - 1:
             _, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
-            bias = _edge_bias(samples, rims, used, place)
+            bias = edge_bias(samples, rims, used, place)
             center = center - bias.of(place, rims.light_px)
         fit = fit_pose(
             sites.sheet_mm[used], center[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice,
@@ -195,10 +165,12 @@ def refine(
         if bias is not None:
             predicted, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
             light = rims.light_px[used] * math.sqrt(bias.covariance[3, 3])
-            fit = replace(fit, covariance=fit.covariance + np.outer(*(fit.response(light),) * 2))
+            response = fit.response(light)
+            misfit = smooth_misfit(fit, predicted[used], size, predicted)
+            fit = replace(fit, covariance=fit.covariance + np.outer(response, response) + misfit.covariance)
             used[np.flatnonzero(used)[fit.weight <= 0]] = False
             refined = Refined(
-                sites, rims, center, used, fit, predicted, place, profile, bias, scatter_factor,
+                sites, rims, center, used, fit, predicted, place, profile, bias, misfit, scatter_factor,
                 tube_states(sites, samples, rims, used), parity,
             )  # fmt: skip
     return refined
@@ -227,31 +199,3 @@ def accepted(rims: Rims, width_px: float, usual_radius_px: float | None = None) 
         usual_radius_px = float(np.median(rims.radius_px[clear])) if clear.any() else 0.0
     right_size = np.abs(rims.radius_px - usual_radius_px) < width_px
     return np.asarray(clear & right_size & (np.hypot(rims.shift_px[:, 0], rims.shift_px[:, 1]) < 2 * width_px))
-
-
-def _edge_bias(samples: RimSamples, rims: Rims, used: NDArray[np.bool_], place: Array) -> EdgeBias:
-    """What the edges have in common, as the difference between whole edges and their feet on the clearest tubes."""
-    scale = float(np.median(np.linalg.norm(place[used, 0, :2], axis=1)))
-    units = np.array([scale, scale, 1.0, 1.0])
-    prior = np.diag((np.array(BIAS_PRIOR) * units) ** -2.0)
-    floor = np.diag((np.array(BIAS_FLOOR) * units) ** 2)
-    floor[3, 3] += light_shift(samples.profile.width_px)[1] ** 2
-    which = np.flatnonzero(used)
-    feet = solve_feet(samples, which)
-    good = (feet.strength > BIAS_STRENGTH) & (feet.rays > 0.5)
-    if good.sum() < BIAS_TUBES:
-        return EdgeBias(np.zeros(2), 0.0, 0.0, np.asarray(np.linalg.inv(prior) + floor, np.float64))
-    which = which[good]
-    difference = (rims.shift_px[which] - feet.shift_px[good]).ravel()
-    A = np.zeros((2 * len(which), 4))
-    A[0::2, 0] = A[1::2, 1] = 1.0
-    A[:, 2], A[:, 3] = place[which, :, 2].ravel(), rims.light_px[which].ravel()
-    information = np.repeat(1.0 / (feet.covariance_px[good, 0] + feet.covariance_px[good, 2]), 2)
-    weight, b, N = information.copy(), np.zeros(4), prior
-    for _ in range(5):
-        N = (A.T * weight) @ A + prior
-        b = np.linalg.solve(N, (A.T * weight) @ difference)
-        stray = np.abs(difference - A @ b) * np.sqrt(information)
-        spread = max(1.4826 * float(np.median(stray)), 0.3)
-        weight = information / spread**2 * np.clip(1 - (stray / (TUKEY * spread)) ** 2, 0.0, None) ** 2
-    return EdgeBias(b[:2], float(b[2]), float(b[3]), np.asarray(np.linalg.inv(N) + floor, np.float64))

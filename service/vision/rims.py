@@ -47,16 +47,16 @@ __all__ = [
 NODES = 8
 """Points of a circle that are projected exactly; a trigonometric polynomial through them gives the others."""
 SAMPLES = 16
-GRID = -3.8 + 0.5 * np.arange(SAMPLES)
+GRID = -3.8 + 0.45 * np.arange(SAMPLES)
 """Where a ray is sampled, in edge widths from the edge's place."""
 INSIDE = np.where(np.arange(SAMPLES) < 3, 1 / 3, 0.0)
 OUTSIDE = np.where(np.arange(SAMPLES) >= SAMPLES - 2, 1 / 2, 0.0)
 """What makes the mean level of a ray's inner end, which lies in the bore, and of its outer end."""
-EDGE = np.exp(-0.5 * ((GRID + 0.24) / 0.24) ** 2)
+EDGE = np.exp(-0.5 * ((GRID + 0.07) / 0.44) ** 2)
 """What a sample counts for: just inside of half height, where glints beyond the edge hardly reach. Least noise."""
-FOOT = np.where(GRID < -0.2, 1.0, 0.0)
+FOOT = np.where(GRID < 0.25, 1.0, 0.0)
 """The same for all of the edge's foot, with each ray's offset its own. Least bias."""
-OFFSET_PRIOR = 1.3
+OFFSET_PRIOR = 0.27
 """How strongly a ray's offset is drawn to the tube's, relative to the ray's own information; the foot's is free."""
 SLOPE_REACH = 2.3
 """How far, in pitches, neighbours tell how the light falls off."""
@@ -65,17 +65,15 @@ SLOPE_PRIOR = 0.3
 """Information, in tubes at the edge of that reach, that draws the light towards level."""
 SLOPE_STRAY = 0.8
 """A tube whose edge differs by this, as a logarithm, is stained and does not tell."""
-LIGHT_SHIFT, LIGHT_SHIFT_SIGMA = (0.3, 2.0), (0.4, 1.5)
-"""What uneven light shifts a rim by, and one sigma of that, in `Rims.light_px`: on sharp pictures, and more per px of
-blur beyond SHARP_PX. Measured on truth."""
-SHARP_PX = 0.8
+LIGHT_SHIFT, LIGHT_BLUR, SHARP_PX = 0.3, 2.0, 0.8
+"""What uneven light shifts a rim by, in `Rims.light_px`: on sharp pictures, and more per px of blur beyond SHARP_PX."""
 LEAST_GAIN = 0.12
 """A ray whose gain falls below this share of the tube's shows no edge."""
 REACH = 1.6
 """Largest shift of a ray, in edge widths, that the linear model serves."""
-UNBOUNDED = 9.0
-RADIUS_SIGMA = 0.2
-"""How far, in edge widths, one tube's apparent radius strays from the picture's."""
+RADIUS_SIGMA, FOOT_RADIUS_SIGMA = 9.0, 0.06
+"""How far, in edge widths, one tube's apparent radius strays from the picture's: as it likes for whole edges, by next
+to nothing for their feet."""
 
 
 LEAST_RAYS = 8
@@ -231,7 +229,7 @@ def sample_rims(
 def solve_rims(samples: RimSamples) -> Rims:
     """Solve for every tube's shift with the least noise: foot and middle of the edge."""
     everyone = np.arange(len(samples.grey))
-    gain_prior = float(np.clip(1.1 * (1.8 / samples.resolved) ** 2.8, 0.003, 30.0))
+    gain_prior = float(np.clip((2.05 / samples.resolved) ** 5.2, 0.003, 30.0))
     return _solved(samples, everyone, EDGE, OFFSET_PRIOR, gain_prior, RADIUS_SIGMA)
 
 
@@ -241,8 +239,8 @@ def solve_feet(samples: RimSamples, which: NDArray[np.int64]) -> Rims:
     Nothing beyond the edge reaches it, neither a glint on the weld bead nor light that falls off across the tube: each
     ray's offset and gain are its own. It is noisier, and serves to tell what all the others have in common.
     """
-    gain_prior = float(np.clip((1.75 / samples.resolved) ** 4.4, 0.0, 30.0))
-    return _solved(samples, which, FOOT, 0.0, gain_prior, UNBOUNDED)
+    gain_prior = float(np.clip((1.45 / samples.resolved) ** 4.1, 0.0, 30.0))
+    return _solved(samples, which, FOOT, 0.0, gain_prior, FOOT_RADIUS_SIGMA)
 
 
 def _solved(
@@ -267,18 +265,18 @@ def _solved(
     )  # fmt: skip
     light = slope * [width, width / samples.aspect]
     return Rims(
-        shift_px=out[:, 0:2] + light_shift(width)[0] * light, covariance_px=out[:, 2:5], gain=out[:, 5], bore=out[:, 6],
+        shift_px=out[:, 0:2] + light_shift(width) * light, covariance_px=out[:, 2:5], gain=out[:, 5], bore=out[:, 6],
         outside=out[:, 7], strength=out[:, 8], rays=out[:, 9], radius_px=out[:, 10], light_px=light,
     )  # fmt: skip
 
 
-def light_shift(width_px: float) -> tuple[float, float]:
-    """By how many `Rims.light_px` uneven light moves a rim away from the light, and one sigma of that.
+def light_shift(width_px: float) -> float:
+    """By how many `Rims.light_px` uneven light moves a rim away from the light.
 
-    Brighter edges look further in, even after the gains are accounted for; the more so where they are blurred.
+    Brighter edges look further in, even after the gains are accounted for; the more so where they are blurred. Measured
+    on truth.
     """
-    blur = max(0.0, width_px - SHARP_PX)
-    return LIGHT_SHIFT[0] + LIGHT_SHIFT[1] * blur, LIGHT_SHIFT_SIGMA[0] + LIGHT_SHIFT_SIGMA[1] * blur
+    return LIGHT_SHIFT + LIGHT_BLUR * max(0.0, width_px - SHARP_PX)
 
 
 def _px_per_mm(vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array) -> float:
