@@ -11,6 +11,7 @@ __all__ = ["blueprint"]
 
 TREND_S = 60
 GREY = (38, 40, 43, 255)
+LEGEND = "Picture: ring measured, cross predicted, crossed ring plugged, dot absent; pale: in doubt"
 
 
 def blueprint(size_px: tuple[int, int], distance_mm: float) -> rrb.Blueprint:
@@ -38,7 +39,7 @@ def blueprint(size_px: tuple[int, int], distance_mm: float) -> rrb.Blueprint:
     left = rrb.Vertical(
         rrb.Spatial2DView(
             origin="/picture",
-            name="Picture",
+            name=LEGEND,
             background=GREY,
             visual_bounds=rrb.VisualBounds2D(x_range=(0, size_px[0]), y_range=(0, size_px[1])),
         ),
@@ -70,7 +71,7 @@ def blueprint(size_px: tuple[int, int], distance_mm: float) -> rrb.Blueprint:
         ),
         trend("distance", "Distance, mm (± 1 sigma)"),
         trend("tilt", "Tilt, deg (± 1 sigma)"),
-        row_shares=[3.7, 3, 1.8, 1.8],
+        row_shares=[3.4, 3.2, 1.9, 1.9],
     )
     return rrb.Blueprint(
         rrb.Horizontal(left, right, column_shares=[5, 3]),

@@ -49,6 +49,7 @@ __all__ = ["FRAME", "TIME", "FrameDrawing", "Watch"]
 FRAME, TIME = "frame", "time"
 """The two timelines: the number of the frame, and when it was exposed."""
 JPEG_QUALITY = 85
+SHEET_PERIOD_NS = 90_000_000
 CORNER = 0.5
 """Rerun's picture begins at the corner of its first pixel; ours, everywhere else, at that pixel's centre."""
 TUBE_LENGTH_MM = 12.0
@@ -98,6 +99,7 @@ class FrameDrawing:
         self._generation, self._offset, self._last = -1, 0, -1
         self._stamp = ""
         self._bits = 8
+        self._sheet_ns, self._sheet_empty = -SHEET_PERIOD_NS, True
 
     def prepare(self, stream: rr.RecordingStream) -> None:
         """Log what does not change: axes, names and colours."""
@@ -126,8 +128,9 @@ class FrameDrawing:
         self._set_time(stream, result)
         m = result.measurement
         size_px = self._draw_picture(stream, frame, m.field)
-        self._draw_tubes(stream, m)
-        _draw_camera(stream, m.pose)
+        order, classes = self._draw_marks(stream, m)
+        if self._sheet_due(m):
+            self._draw_sheet(stream, m, order, classes)
         _draw_trend(stream, m)
         self._draw_state(stream, m, size_px)
         text = status_text(result, self._watch.title)
@@ -178,7 +181,8 @@ class FrameDrawing:
             )
         return width, height
 
-    def _draw_tubes(self, stream: rr.RecordingStream, m: Measurement) -> None:
+    def _draw_marks(self, stream: rr.RecordingStream, m: Measurement) -> tuple[NDArray[np.intp], NDArray[np.uint16]]:
+        """Mark the tubes in the picture; returns in which order, and their classes in that order."""
         lattice, tubes = self._watch.lattice, m.tubes
         kind = kinds(tubes)
         order = np.argsort(kind, kind="stable")
@@ -186,15 +190,29 @@ class FrameDrawing:
         kind = kind[order]
         ids = class_ids(kind, doubtful=m.lock is not Lock.FULL)
         stream.log("picture/tubes", rr.LineStrips2D(strips, class_ids=ids, radii=-mark_widths(kind) / 2))
+        return order, ids
+
+    def _sheet_due(self, m: Measurement) -> bool:
+        """Whether to draw the sheet again: ten times a second will do for what nobody judges; at once if it goes."""
+        due = not 0 <= m.time_ns - self._sheet_ns < SHEET_PERIOD_NS or (m.pose is None) != self._sheet_empty
+        if due:
+            self._sheet_ns, self._sheet_empty = m.time_ns, m.pose is None
+        return due
+
+    def _draw_sheet(
+        self, stream: rr.RecordingStream, m: Measurement, order: NDArray[np.intp], classes: NDArray[np.uint16]
+    ) -> None:
+        lattice, tubes = self._watch.lattice, m.tubes
         places = lattice.sheet_points(tubes.row[order].astype(np.int_), tubes.column[order].astype(np.int_))
         cylinders = rr.Cylinders3D(
             centers=np.column_stack([places, np.full(len(places), TUBE_LENGTH_MM / 2)]),
             lengths=np.full(len(places), TUBE_LENGTH_MM, np.float32),
             radii=np.full(len(places), lattice.rim_radius_mm, np.float32),
             fill_mode=rr.components.FillMode.Solid,
-            class_ids=ids,
+            class_ids=classes,
         )
         stream.log("sheet/tubes", cylinders)
+        _draw_camera(stream, m.pose)
 
     def _draw_state(self, stream: rr.RecordingStream, m: Measurement, size_px: tuple[int, int]) -> None:
         """Log what the lock is where that changes, and frame the picture while it is not full."""

@@ -19,7 +19,7 @@ __all__ = ["Pace", "backlog_bytes"]
 
 BACKLOG_BYTES = 50_000
 """Below what a native viewer that does not read lets the kernel take: 0.2 MB. A browser lets it take 10."""
-LOOK_S, LOOKS = 0.25, 4
+LOOK_S, LOOKS = 0.5, 3
 """A viewer is behind that had a backlog at so many looks at the kernel's tables in a row; a look takes milliseconds."""
 PERIOD_S = 0.5
 """From frame to frame while a viewer is behind."""

@@ -15,8 +15,6 @@ if TYPE_CHECKING:
 
 __all__ = ["reading", "status_text", "why"]
 
-LEGEND = "Ring: measured. Cross: predicted. Crossed ring: plugged. Dot: absent. Pale: in doubt."
-
 
 def why(m: Measurement) -> str | None:
     """Say why the lock is not full; None where it is."""
@@ -39,14 +37,15 @@ def status_text(result: FrameResult, title: str = "") -> str:
     said = why(m)
     lines = [f"**{title}**"] if title else []
     lines.append(f"# Lock {m.lock}" + (f": {said}" if said else ""))
+    about = [f"frame {result.sequence}" + ("" if m.field == "progressive" else f", {m.field} field")]
     if (p := m.pose) is not None:
         lines.append(f"# {reading(p.distance_mm, p.sigma.distance_mm, 'mm')} distance")
         lines.append(f"# {reading(p.tilt_deg, p.sigma.tilt_deg, 'deg')} tilt")
-        fit = f"Fit {p.reprojection_error_px:.2f} px rms; sideways ± {p.sigma.lateral_mm:.2f} mm."
-        lines.append(f"{_tubes(m.tubes)}. {fit}")
-    field = "" if m.field == "progressive" else f", {m.field} field"
-    took = f", measured in {m.elapsed_ms['total']:.0f} ms" if "total" in m.elapsed_ms else ""
-    lines += [f"Frame {result.sequence}{field}{took}.", LEGEND]
+        lines.append(_tubes(m.tubes))
+        about[:0] = [f"fit {p.reprojection_error_px:.2f} px rms", f"sideways ± {p.sigma.lateral_mm:.2f} mm"]
+    if "total" in m.elapsed_ms:
+        about.append(f"measured in {m.elapsed_ms['total']:.0f} ms")
+    lines.append("; ".join(about))
     return "\n\n".join(lines)
 
 

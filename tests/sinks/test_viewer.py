@@ -105,7 +105,7 @@ def test_a_viewer_gets_every_frame_with_its_results(sink, clients):
     feed(sink, range(5, 40))
     wait_until(lambda: 39 in Rrd(client.path).frames("/trend/tilt"))
     rrd = Rrd(client.path)
-    for entity in ("/picture", "/picture/tubes", "/sheet/camera", "/status"):
+    for entity in ("/picture", "/picture/tubes", "/status"):
         assert rrd.frames(entity) == list(range(40)), entity
     assert rrd.column("/trend/distance", "Scalars:scalars")[39][0] == pytest.approx(403.9)
     pixels = bytes(rrd.column("/picture", "Image:buffer")[0][0])

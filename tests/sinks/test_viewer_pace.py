@@ -54,22 +54,22 @@ def test_every_frame_is_sent_while_viewers_keep_up():
 
 def test_a_frame_on_its_way_at_the_moment_is_no_backlog():
     clock = Time()
-    looks = itertools.cycle([10**6, 10**6, 10**6, 0])
+    looks = itertools.cycle([10**6, 10**6, 0])
     assert all(due(Pace(1, lambda port: next(looks), clock), clock, 8))
 
 
 def test_a_viewer_behind_gets_two_frames_a_second_until_it_has_caught_up():
     clock, waiting = Time(), [BACKLOG_BYTES + 1]
     pace = Pace(1, lambda port: waiting[0], clock)
-    assert sum(due(pace, clock, 1)) >= 20  # a second goes by before it is believed
+    assert sum(due(pace, clock, 1)) == 25  # a second goes by before it is believed
     assert 7 <= sum(due(pace, clock, 4)) <= 9
     waiting[0] = 0
-    due(pace, clock, 0.28)
+    due(pace, clock, 0.52)
     assert all(due(pace, clock, 2))
 
 
-def test_the_kernel_is_asked_four_times_a_second():
+def test_the_kernel_is_asked_twice_a_second():
     clock, asked = Time(), []
     due(Pace(7, lambda port: asked.append(port) or 0, clock), clock, 4)
-    assert len(asked) <= 16
+    assert len(asked) <= 8
     assert set(asked) == {7}

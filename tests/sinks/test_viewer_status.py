@@ -27,18 +27,18 @@ def test_a_reading_shows_the_digits_that_its_sigma_leaves(value, sigma, said):
 def test_the_readings_of_a_full_lock():
     text = status_text(made_up(7)[1], "REPLAY of x.mp4").split("\n\n")
     assert text[:4] == ["**REPLAY of x.mp4**", "# Lock full", "# 400.70 ± 0.25 mm distance", "# 0.000 ± 0.080 deg tilt"]
-    assert text[4].startswith("5 measured, 3 predicted; among them 1 plugged, 1 absent. Fit 0.11 px rms")
-    assert text[5] == "Frame 7, measured in 6 ms."
+    assert text[4] == "5 measured, 3 predicted; among them 1 plugged, 1 absent"
+    assert text[5] == "fit 0.11 px rms; sideways ± 0.10 mm; frame 7; measured in 6 ms"
 
 
 def test_without_a_lock_there_are_reasons_and_no_numbers():
     text = status_text(made_up(lock=Lock.NONE, reason="lamp off")[1])
     assert "# Lock none: lamp off" in text
-    assert "mm" not in text.replace("measured", "")
+    assert "mm" not in text
 
 
 def test_the_field_is_named():
-    assert "Frame 0, top field," in status_text(made_up(field="top")[1])
+    assert "frame 0, top field;" in status_text(made_up(field="top")[1])
 
 
 def test_why_a_lock_is_not_full():
