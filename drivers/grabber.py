@@ -166,6 +166,8 @@ class Counters:
     """Frames handed over with a defect."""
     timeouts: int = 0
     """Reads that ended without a frame."""
+    suspected: int = 0
+    """Frames that by the times are missing although the numbers have no gap: some devices number what they deliver."""
 
 
 class Grabber(ABC):

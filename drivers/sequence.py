@@ -14,16 +14,20 @@ class SequenceExtender:
 
     def __init__(self) -> None:
         self._last: int | None = None
+        self._shift = 0
 
     def restart(self) -> None:
         """Forget the past: the device counts anew."""
-        self._last = None
+        self._last, self._shift = None, 0
+
+    def resume(self) -> None:
+        """Go on from the last number although the device counts anew, as after a stop between two reads."""
+        if self._last is not None:
+            self._shift, self._last = self._shift + self._last + 1, None
 
     def extend(self, number: int) -> int:
         """Give the number without its wraps: the nearest to the last one that agrees with it in 32 bits."""
-        if self._last is None:
-            self._last = number
-        else:
-            half = SEQUENCE_NUMBERS // 2
-            self._last += (number - self._last + half) % SEQUENCE_NUMBERS - half
-        return self._last
+        last = number if self._last is None else self._last
+        half = SEQUENCE_NUMBERS // 2
+        self._last = last + (number - last + half) % SEQUENCE_NUMBERS - half
+        return self._last + self._shift

@@ -17,6 +17,7 @@ from drivers.simulated import SimulatedGrabber
 from drivers.simulation import default_scene
 from tests.drivers.recorded import picture, write_folder, write_video
 from tests.fakes.clock import ManualClock
+from tests.fakes.kernel import WOVEN_ONLY, fake_grabber
 
 
 @pytest.fixture(scope="module")
@@ -56,6 +57,9 @@ def devices(recordings, scenes):
             "speed" not in options,
         )
 
+    def v4l2(**options):
+        return Device(lambda: fake_grabber(ManualClock(), **options)[0])
+
     return {
         "video": replay("video.mkv"),
         "video-at-max": replay("video.mkv", speed=float("inf")),
@@ -67,6 +71,13 @@ def devices(recordings, scenes):
         "simulated-at-max": simulated("plain", speed=float("inf")),
         "simulated-interlaced": simulated("interlaced"),
         "simulated-16-bit": simulated("deep"),
+        "v4l2": v4l2(),
+        "v4l2-without-fields": v4l2(fields=WOVEN_ONLY, padding=6),
+        "v4l2-yuyv": v4l2(encodings=("RGB3", "YUYV"), padding=4),
+        "v4l2-nv12": v4l2(encodings=("NV12",)),
+        "v4l2-10-bit": v4l2(encodings=("Y10",)),
+        "v4l2-16-bit": v4l2(encodings=("Y16-BE",), padding=2),
+        "v4l2-jpeg": v4l2(encodings=("MJPG",), fields=WOVEN_ONLY),
     }
 
 

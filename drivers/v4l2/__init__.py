@@ -1,0 +1,1 @@
+"""Capture devices through the Linux kernel's own interface, Video4Linux2."""
