@@ -13,6 +13,7 @@ from drivers.frame import Field
 from drivers.grabber import Standard
 from service.config.cameras import read_camera
 from service.config.generators import SteamGenerator, load_generator
+from service.config.instruments import LensSettings, RangeFinderSettings, lens_settings, range_finder_settings
 from service.config.table import Table, read_toml
 
 if TYPE_CHECKING:
@@ -86,6 +87,8 @@ class Station:
     camera: Camera | None
     measuring: MeasuringSettings
     viewer: ViewerSettings
+    lens: LensSettings | None = None
+    range_finder: RangeFinderSettings | None = None
 
 
 def read_station(path: Path) -> Station:
@@ -93,6 +96,7 @@ def read_station(path: Path) -> Station:
     t = read_toml(path)
     source, generator, camera = t.table("source", required=True), t.table("generator", required=True), t.table("camera")
     measuring, viewer = t.table("measuring"), t.table("viewer")
+    lens, range_finder = t.table("lens"), t.table("range_finder")
     t.finish()
     return Station(
         source=_source(source, path.parent),
@@ -100,6 +104,8 @@ def read_station(path: Path) -> Station:
         camera=_camera(camera, path.parent),
         measuring=_measuring(measuring),
         viewer=_viewer(viewer),
+        lens=lens_settings(lens),
+        range_finder=range_finder_settings(range_finder),
     )
 
 

@@ -116,6 +116,15 @@ class Table:
             raise self.error(key, f"must be a list of {count} numbers")
         return tuple(self.checked(key, v, above) for v in value)
 
+    def pairs(self, key: str, default: Any = MISSING) -> Any:
+        """Take a list of pairs of finite numbers as a tuple of pairs of floats."""
+        value = self._take(key, default, "a list of pairs of numbers")
+        if value is default:
+            return value
+        if not isinstance(value, list) or any(not isinstance(p, list) or len(p) != 2 for p in value):
+            raise self.error(key, "must be a list of pairs of numbers")
+        return tuple((self.checked(key, a), self.checked(key, b)) for a, b in value)
+
     def text(self, key: str, default: Any = MISSING) -> Any:
         """Take a string."""
         value = self._take(key, default, "a text in quotes")
