@@ -139,7 +139,10 @@ class FrameFormat:
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A setting of the device, such as brightness, contrast, hue, saturation, exposure."""
+    """A setting of the device, such as brightness, contrast, hue, saturation, exposure.
+
+    `choices` says what the whole numbers from `minimum` on mean, where it is a menu; "" means nothing.
+    """
 
     name: str
     minimum: float

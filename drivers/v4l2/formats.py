@@ -71,11 +71,12 @@ class Grant:
 
 @dataclass(frozen=True, slots=True)
 class _Signal:
-    """What the standard or the timings of the input say: whether it is interlaced, in which order, how fast."""
+    """What the standard or the timings of the input say: interlaced or not, in which order, how fast, how big."""
 
     interlaced: bool
-    top_first: bool
-    rate_hz: float | None
+    top_first: bool = True
+    rate_hz: float | None = None
+    size_px: tuple[int, int] | None = None
 
 
 def agree(node: Node, device: str, wish: Wish) -> Grant:
@@ -87,7 +88,8 @@ def agree(node: Node, device: str, wish: Wish) -> Grant:
         It offers nothing that can be read, not what was asked for, or progressive pictures where fields were asked.
     """
     encoding = _chosen_encoding(node, device, wish.encoding)
-    signal, size = _signal(node), wish.size_px or _full_size(calls.pix_format(node))
+    signal = _signal(node)
+    size = wish.size_px or signal.size_px or _full_size(calls.pix_format(node))
     pix = _granted(node, device, size, encoding, wish.field_mode, signal)
     rate_hz = _rate_hz(node, wish.rate_hz) or signal.rate_hz
     field_order = FieldOrder(pix.field)
@@ -131,8 +133,9 @@ def _signal(node: Node) -> _Signal:
         return _Signal(interlaced=True, top_first=not lines_525, rate_hz=30000 / 1001 if lines_525 else 25.0)
     timings = timings_in_use(node)
     if timings is None:
-        return _Signal(interlaced=False, top_first=True, rate_hz=None)
-    return _Signal(timings.interlaced, top_first=True, rate_hz=timings.rate_hz or None)
+        return _Signal(interlaced=False)
+    size = timings.width_px, timings.height_px
+    return _Signal(timings.interlaced, rate_hz=timings.rate_hz or None, size_px=size)
 
 
 def _full_size(pix: PixFormat) -> tuple[int, int]:
