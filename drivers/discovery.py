@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 __all__ = ["Device", "serial_ports", "video_devices"]
 
 VIDEO_CLASS = Path("/sys/class/video4linux")
+SERIAL_LINKS = Path("/dev/serial")
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,7 +30,7 @@ class Device:
         What it calls itself.
     identity
         ``usb:VID:PID:SERIAL``, or ``usb:VID:PID@PORT`` where it has no serial number; where it is no USB device, the
-        path of its hardware in the system's tree.
+        path of its hardware in the system's tree. Of a serial port: the link below /dev/serial that leads to it.
     """
 
     node: str
@@ -59,12 +61,41 @@ def _read(path: Path) -> str:
         return ""
 
 
-def serial_ports() -> list[Device]:
-    """Serial ports, in the order of their names; one that tells nothing of itself goes by its name."""
+def serial_ports(links: Path = SERIAL_LINKS) -> list[Device]:
+    """Serial ports, in the order of their names; one that tells nothing of itself goes by its name.
+
+    The identity is the link in by-id, which names the adapter; or that in by-path, which names the socket, where two
+    adapters say they are the same one: their link in by-id leads now to the one, now to the other.
+    """
     ports = sorted(list_ports.comports(), key=lambda port: port.device)
+    adapters = Counter(model for model, _ in {(_model(port), _socket(port)) for port in ports})
     return [
-        Device(p.device, "serial port" if p.description == "n/a" else p.description, _port_identity(p)) for p in ports
+        Device(
+            p.device,
+            "serial port" if p.description == "n/a" else p.description,
+            _link(p.device, links, unique=adapters[_model(p)] == 1) or _port_identity(p),
+        )
+        for p in ports
     ]
+
+
+def _model(port: ListPortInfo) -> tuple[int | None, int | None, str | None]:
+    """What by-id names an adapter by."""
+    return port.vid, port.pid, port.serial_number
+
+
+def _socket(port: ListPortInfo) -> str:
+    """Where an adapter is plugged in, or the port itself; an adapter with several ports is one."""
+    return port.location.partition(":")[0] if port.location else port.device
+
+
+def _link(node: str, links: Path, *, unique: bool) -> str | None:
+    target = Path(node).resolve()
+    for folder in ("by-id", "by-path") if unique else ("by-path",):
+        for link in sorted((links / folder).glob("*")):
+            if link.resolve() == target:
+                return str(link)
+    return None
 
 
 def _port_identity(port: ListPortInfo) -> str:

@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     del args
     print(SOURCES)
     _show("video devices that the system shows; this version cannot grab from them yet", video_devices())
-    _show("serial ports that the system shows; this version uses none of them yet", serial_ports())
+    _show('serial ports that the system shows; port = "..." in [lens] or [range_finder]', serial_ports())
     return 0
 
 
