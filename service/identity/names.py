@@ -15,7 +15,8 @@ LARGEST_NUMBER = 999
 _LETTERS = re.compile(
     r"(ROW|R|LINE|LN|L|COLUMN|COL|C)[ .:=]*([0-9]+)[ ,;:/_.-]*(ROW|R|LINE|LN|L|COLUMN|COL|C)[ .:=]*([0-9]+)"
 )
-_BARE = re.compile(r"([0-9]+) *[ ,;:/_-] *([0-9]+)")
+_BARE = re.compile(r"([0-9]+) *[ :/_-] *([0-9]+)")
+"""Not with a comma: that is how lattice places are written."""
 _GENERATOR = re.compile(r"(?:R?SG|S/G)[ -]?[A-Z0-9]+(?=[ ,:])")
 _LEG = re.compile(r"^(?:HL|CL)(?![A-Z])|(?<![A-Z])(?:HL|CL)$")
 

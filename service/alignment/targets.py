@@ -1,0 +1,87 @@
+"""Which tube is meant: the one named, the one at a lattice place, or the one nearest to the guide's axis."""
+
+from __future__ import annotations
+
+import itertools
+import re
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from service.identity.anchors import Anchor
+from service.identity.names import NamingError, TubeName
+from service.vision.measurement import TubeState
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from service.identity.counting import NamingRule
+    from service.vision.lattice import Lattice
+    from service.vision.measurement import Tubes
+
+__all__ = ["NEAREST", "Target", "nearest_place", "parse_anchor", "parse_target", "state_at"]
+
+_PLACE = re.compile(r" *(-?[0-9]{1,4}) *, *(-?[0-9]{1,4}) *")
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """The tube to be aligned to; the nearest one where neither name nor place is given.
+
+    Attributes
+    ----------
+    name
+        By its name: holds as long as an anchor names tubes.
+    place
+        By its lattice (row, column): holds as long as that index does.
+    generation
+        Of the index that `place` belongs to; None: the first there is.
+    """
+
+    name: TubeName | None = None
+    place: tuple[int, int] | None = None
+    generation: int | None = None
+
+    def __str__(self) -> str:
+        if self.place is not None:
+            return f"{self.place[0]},{self.place[1]}"
+        return "nearest" if self.name is None else str(self.name)
+
+
+NEAREST = Target()
+
+
+def parse_target(text: str, rule: NamingRule) -> Target:
+    """Read "nearest", a lattice place "ROW,COLUMN", or a tube's name; raises NamingError."""
+    if text.strip().lower() == "nearest":
+        return NEAREST
+    if match := _PLACE.fullmatch(text):
+        return Target(place=(int(match[1]), int(match[2])))
+    return Target(name=rule.parse(text))
+
+
+def parse_anchor(text: str, rule: NamingRule) -> Anchor:
+    """Read "ROW,COLUMN=NAME": the tube at this lattice place has that name; raises NamingError."""
+    place, equals, name = text.partition("=")
+    match = _PLACE.fullmatch(place)
+    if match is None or not equals:
+        raise NamingError(
+            f"anchor {text!r}: must be ROW,COLUMN=NAME, with the lattice row and column that results show"
+        )
+    return Anchor(int(match[1]), int(match[2]), rule.parse(name))
+
+
+def state_at(tubes: Tubes, place: tuple[int, int]) -> TubeState:
+    """What stands at a lattice place; UNKNOWN where the picture does not show it."""
+    at = np.flatnonzero((tubes.row == place[0]) & (tubes.column == place[1]))
+    return TubeState(int(tubes.state[at[0]])) if len(at) else TubeState.UNKNOWN
+
+
+def nearest_place(foot_mm: NDArray[np.float64], lattice: Lattice, tubes: Tubes) -> tuple[int, int]:
+    """Lattice place of the tube nearest to a sheet point; places seen to have none are passed over."""
+    corner = np.floor(lattice.lattice_coordinates(foot_mm[None])[0]).astype(int)
+    near = np.array(list(itertools.product(range(-1, 3), repeat=2))) + corner
+    away = np.linalg.norm(lattice.sheet_points(near[:, 0], near[:, 1]) - foot_mm, axis=1)
+    places = [(int(row), int(column)) for row, column in near[np.argsort(away, kind="stable")]]
+    return next((p for p in places if state_at(tubes, p) is not TubeState.ABSENT), places[0])
