@@ -19,7 +19,7 @@ __all__ = ["Dialogue", "DialogueCounters", "Reply", "split_lines"]
 
 FRESH_QUIET_S = 0.1
 """A line just opened is listened to for so long: a device that talks of its own accord is in mid-message."""
-MOST_ROUNDS = 3
+MOST_ROUNDS, MOST_CHUNKS = 3, 16
 SILENT_LIMIT = 10
 """Questions unanswered in a row after which the line is opened anew: a socket's other end may be gone unnoticed."""
 LONGEST_LINE = 64
@@ -124,7 +124,10 @@ class Dialogue:
             self._listen_until_quiet(self._quiet_s)
             self._quiet_s = 0.0
         else:
-            self._take(self.channel.receive(0))
+            for _ in range(MOST_CHUNKS):
+                if not (data := self.channel.receive(0)):
+                    break
+                self._take(data)
         self._messages.clear()
         self._heard = b""
 

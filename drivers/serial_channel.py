@@ -41,6 +41,7 @@ log = logging.getLogger(__name__)
 
 SLICE_S = 0.05
 """Longest single wait inside pyserial, and how exactly a deadline is kept."""
+CHUNK = 4096
 WRITE_TIMEOUT_S = 1.0
 FIRST_WAIT_S, LONGEST_WAIT_S = 0.25, 5.0
 SCHEMES = ("socket", "rfc2217", "loop")
@@ -229,9 +230,8 @@ class SerialChannel:
         deadline_ns = self.clock.monotonic_ns() + round(timeout_s * 1e9)
         while True:
             try:
-                waiting = port.in_waiting
                 late = self.clock.monotonic_ns() >= deadline_ns
-                data = port.read(waiting or 1) if waiting or not late else b""
+                data = _available(port) or (b"" if late else port.read(1))
             except LINE_ERRORS as error:
                 raise self._lost(error) from error
             if data:
@@ -289,6 +289,18 @@ class SerialChannel:
     def _check_aborted(self) -> None:
         if self._aborted:
             raise DeviceStateError(self.name, "the channel was ended; make a new one")
+
+
+def _available(port: Port) -> bytes:
+    """What can be read without waiting; of a socket, only byte by byte. An error after it comes again next time."""
+    data = b""
+    try:
+        while len(data) < CHUNK and (waiting := port.in_waiting):
+            data += port.read(waiting)
+    except LINE_ERRORS:
+        if not data:
+            raise
+    return data
 
 
 def _shut(port: Port) -> None:

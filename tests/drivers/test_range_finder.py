@@ -164,8 +164,8 @@ def test_a_mute_range_finder_is_bad_quality(tmp_path):
         finder.close()
 
 
-def test_a_range_finder_behind_a_socket_measures():
-    with SocketLine(FakeRangeFinder(b"1.234 000985\r\n")) as line:
+def test_behind_a_socket_too_what_is_left_of_one_answer_is_none_to_the_next():
+    with SocketLine(FakeRangeFinder(b"1.234 000985\r\n2.000\r\n")) as line:
         finder = AcuityRangeFinder(SerialChannel(line.path), timeout_s=10.0)
-        assert finder.read().distance_mm == 1234
+        assert [finder.read().distance_mm for _ in range(5)] == [1234] * 5
         finder.close()
