@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from service.vision.compiled import compiled, median_of
 from service.vision.measurement import Origin, Pose, PoseSigma, Tubes
 from service.vision.pose import PARAMETERS, linearise
 
@@ -19,11 +20,14 @@ if TYPE_CHECKING:
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["pose_of", "tubes_of"]
+__all__ = ["estimates"]
 
 
-def pose_of(refined: Refined, lattice: Lattice, camera: Camera, parity: int | None) -> Pose:
-    """The pose and its sigmas.
+def estimates(refined: Refined, lattice: Lattice, camera: Camera, parity: int | None) -> tuple[Pose, Tubes]:
+    """The pose and every place in the picture, with their sigmas.
+
+    A measured tube's centre is the weighted mean of what its own rim says and of where the others put it: real tube
+    ends scatter by little, so a weak edge counts for little.
 
     Parameters
     ----------
@@ -32,87 +36,13 @@ def pose_of(refined: Refined, lattice: Lattice, camera: Camera, parity: int | No
     parity
         0 or 1 where the picture was the top or the bottom field, None for a frame.
     """
-    fit = refined.fit
-    n = 6
-    cov = fit.covariance[:n, :n] + _bias_covariance(refined)
-    R, t, p = fit.rotation, fit.translation_mm, fit.pivot_mm
-    to_origin = np.eye(n)
-    to_origin[3:, :3] = -_cross(t - p)  # a turn about the pivot moves the origin: w x (t - p)
-    about_origin = to_origin @ cov @ to_origin.T
-    used = refined.used
-    residual = fit.residual_px[fit.weight > 0]
-    error = math.sqrt(float(np.mean(residual**2))) if used.any() else 0.0
-    return Pose(
-        rotation=R,
-        translation_mm=t,
-        camera=fit.camera.of_frame(camera, parity),
-        covariance=about_origin,
-        sigma=_sigma(refined, lattice, cov),
-        reprojection_error_px=error,
-    )
-
-
-def _cross(v: Array) -> Array:
-    """Matrix of ``v x``."""
-    return np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
-
-
-def _bias_covariance(refined: Refined) -> Array:
-    """What remains unknown of the light's common shift, as a shift of the pose.
-
-    An apparent depth of all rims is a shift along the sheet's normal; a common shift in the picture one across the
-    view.
-    """
-    fit = refined.fit
-    v = fit.camera.vector()
-    across = fit.pivot_mm[2]
-    J = np.zeros((6, 3))
-    J[3, 0], J[4, 1] = across / v[0], across / v[1]
-    J[3:, 2] = fit.rotation[:, 2]
-    return np.asarray(J @ refined.bias.covariance[:3, :3] @ J.T, np.float64)
-
-
-def _sigma(refined: Refined, lattice: Lattice, cov: Array) -> PoseSigma:
-    fit = refined.fit
-    R, t, p = fit.rotation, fit.translation_mm, fit.pivot_mm
-    normal = R[:, 2]
-    distance = float(normal @ t)
-    along = np.concatenate([np.cross(normal, p), normal])
-    depth = np.concatenate([-_cross(t - p)[2], [0.0, 0.0, 1.0]])
-    slope = -_cross(normal)[:2] @ cov[:3, :3] @ -_cross(normal)[:2].T  # of the normal's x and y
-    tilt = math.hypot(normal[0], normal[1])
-    eigen = np.linalg.eigvalsh(slope)
-    if tilt**2 > 4 * eigen[-1]:
-        direction = normal[:2] / tilt
-        tilt_variance = float(direction @ slope @ direction)
-    else:  # too near to parallel for the tilt to have a direction
-        tilt_variance = float(eigen.sum()) / 2
-    axis = np.array([0.0, 0.0, distance / max(normal[2], 1e-6)])
-    at_axis = np.hstack([-_cross(axis - p), np.eye(3)])[:2] @ cov @ np.hstack([-_cross(axis - p), np.eye(3)])[:2].T
-    scale = float(np.median(np.linalg.norm(refined.place[:, 0, :2], axis=1)))
-    of_tube = float(np.median(_posterior(refined, lattice)[1][refined.used])) / scale
-    pitch = distance * lattice.pitch_sigma_mm / lattice.pitch_mm
-    k = 6 + fit.names.index("focal_length_mm") if "focal_length_mm" in fit.names else None
-    return PoseSigma(
-        tz_mm=math.hypot(math.sqrt(float(depth @ cov @ depth)), pitch),
-        distance_mm=math.hypot(math.sqrt(float(along @ cov @ along)), pitch),
-        tilt_deg=math.degrees(math.sqrt(tilt_variance)),
-        lateral_mm=math.sqrt(float(np.trace(at_axis)) / 2 + of_tube**2),
-        focal_length_mm=0.0 if k is None else math.sqrt(float(fit.covariance[k, k])),
-    )
-
-
-def tubes_of(refined: Refined, lattice: Lattice, parity: int | None) -> Tubes:
-    """Every place in the picture: measured tubes where they are, the others where the lattice says.
-
-    A measured centre is the weighted mean of what its own rim says and of where the others put it: real tube ends
-    scatter by little, so a weak edge counts for little.
-    """
     center, sigma = _posterior(refined, lattice)
+    scale = median_of(np.hypot(refined.place[:, 0, 0], refined.place[:, 0, 1]))
+    pose = _pose(refined, lattice, camera, parity, median_of(sigma[refined.used]) / scale)
     if parity is not None:
         center = center * [1.0, 2.0] + [0.0, parity]
         sigma = sigma * math.sqrt(2.5)  # per axis of the full frame: rms of 1 and 2
-    return Tubes(
+    tubes = Tubes(
         row=refined.sites.row.astype(np.int32),
         column=refined.sites.column.astype(np.int32),
         center_px=center,
@@ -120,6 +50,69 @@ def tubes_of(refined: Refined, lattice: Lattice, parity: int | None) -> Tubes:
         origin=np.where(refined.used, Origin.MEASURED, Origin.INFERRED).astype(np.uint8),
         state=refined.state,
     )
+    return pose, tubes
+
+
+def _pose(refined: Refined, lattice: Lattice, camera: Camera, parity: int | None, tube_sigma_mm: float) -> Pose:
+    fit = refined.fit
+    R, t = fit.rotation, fit.translation_mm
+    out = np.empty(4)
+    covariance = _pose_sigmas(fit.covariance, refined.bias.covariance, R, t, fit.pivot_mm, fit.camera.vector(), out)
+    distance = float(R[:, 2] @ t)
+    pitch = distance * lattice.pitch_sigma_mm / lattice.pitch_mm
+    k = 6 + fit.names.index("focal_length_mm") if "focal_length_mm" in fit.names else None
+    residual = fit.residual_px[fit.weight > 0]
+    return Pose(
+        rotation=R,
+        translation_mm=t,
+        camera=fit.camera.of_frame(camera, parity),
+        covariance=covariance,
+        sigma=PoseSigma(
+            tz_mm=math.hypot(out[0], pitch),
+            distance_mm=math.hypot(out[1], pitch),
+            tilt_deg=math.degrees(out[2]),
+            lateral_mm=math.hypot(out[3], tube_sigma_mm),
+            focal_length_mm=0.0 if k is None else math.sqrt(float(fit.covariance[k, k])),
+        ),
+        reprojection_error_px=math.sqrt(float(np.mean(residual**2))) if residual.size else 0.0,
+    )
+
+
+@compiled
+def _pose_sigmas(solution: Array, bias: Array, R: Array, t: Array, pivot: Array, v: Array, out: Array) -> Array:
+    """Covariance, (6, 6), of a turn about the camera and of the translation; `out`: sigmas of `PoseSigma`.
+
+    What remains unknown of the edges' common bias is a shift of the pose: an apparent depth of all rims one along the
+    sheet's normal, a common shift in the picture one across the view.
+    """
+    n = R[:, 2].copy()
+    J = np.zeros((6, 3))
+    J[3, 0], J[4, 1] = pivot[2] / v[0], pivot[2] / v[1]
+    J[3:, 2] = n
+    cov = solution[:6, :6] + J @ np.ascontiguousarray(bias[:3, :3]) @ J.T
+    distance = n @ t
+    axis = np.array([0.0, 0.0, distance / max(n[2], 1e-6)])
+    tz, along = np.zeros(6), np.zeros(6)
+    a, b = t - pivot, axis - pivot
+    tz[0], tz[1], tz[5] = a[1], -a[0], 1.0  # (w x a)_z + shift_z
+    along[:3] = np.cross(n, pivot)
+    along[3:] = n
+    slope, across = np.zeros((2, 6)), np.zeros((2, 6))
+    slope[0, 1], slope[0, 2], slope[1, 0], slope[1, 2] = n[2], -n[1], -n[2], n[0]  # w x n
+    across[0, 1], across[0, 2], across[0, 3] = b[2], -b[1], 1.0  # (w x b) + shift, at the axis
+    across[1, 0], across[1, 2], across[1, 4] = -b[2], b[0], 1.0
+    turn, place = slope @ cov @ slope.T, across @ cov @ across.T
+    tilt2 = n[0] * n[0] + n[1] * n[1]
+    if tilt2 > 4.0 * (turn[0, 0] + turn[1, 1]):
+        tilt_variance = (n[0] * n[0] * turn[0, 0] + 2.0 * n[0] * n[1] * turn[0, 1] + n[1] * n[1] * turn[1, 1]) / tilt2
+    else:  # too near to parallel for the tilt to have a direction
+        tilt_variance = 0.5 * (turn[0, 0] + turn[1, 1])
+    out[0], out[1] = math.sqrt(tz @ cov @ tz), math.sqrt(along @ cov @ along)
+    out[2], out[3] = math.sqrt(tilt_variance), math.sqrt(0.5 * (place[0, 0] + place[1, 1]))
+    to_origin = np.eye(6)  # a turn about the pivot moves the origin: w x (t - pivot)
+    to_origin[3, 1], to_origin[3, 2], to_origin[4, 0] = a[2], -a[1], -a[2]
+    to_origin[4, 2], to_origin[5, 0], to_origin[5, 1] = a[0], a[1], -a[0]
+    return to_origin @ cov @ to_origin.T
 
 
 def _posterior(refined: Refined, lattice: Lattice) -> tuple[Array, Array]:
@@ -132,18 +125,50 @@ def _posterior(refined: Refined, lattice: Lattice) -> tuple[Array, Array]:
         camera.vector(), f, sx, fit.rotation, fit.translation_mm, fit.pivot_mm, refined.sites.sheet_mm, columns, px, J,
         place,
     )  # fmt: skip
-    J = J[:, :, [*range(6), *(6 + PARAMETERS.index(name) for name in fit.names)]]
-    predicted = np.einsum("nij,jk,nlk->nil", J, fit.covariance, J)
-    center, sigma = px.copy(), np.sqrt((predicted[:, 0, 0] + predicted[:, 1, 1]) / 2)
-    u, f2 = refined.used, refined.scatter_factor**2
-    S = place[u, :, :2] @ place[u, :, :2].transpose(0, 2, 1) * (f2 * lattice.scatter_mm**2)
-    S += place[u, :, 2:] @ place[u, :, 2:].transpose(0, 2, 1) * (f2 * lattice.height_scatter_mm**2)
-    xx, xy, yy = refined.rims.covariance_px[u].T
-    C = np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
-    gain = S @ np.linalg.inv(S + C)
-    center[u] += np.einsum("nij,nj->ni", gain, refined.center_px[u] - px[u])
-    rest = np.eye(2) - gain
-    covariance = gain @ C + rest @ predicted[u] @ rest.transpose(0, 2, 1)
-    sigma[u] = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2 + refined.misfit.variance_px2[u])
-    sigma = np.sqrt(sigma**2 + refined.bias.variance_px2(place))
-    return center, sigma
+    J = np.ascontiguousarray(J[:, :, [*range(6), *(6 + PARAMETERS.index(name) for name in fit.names)]])
+    f2 = refined.scatter_factor**2
+    center, variance = np.empty((n, 2)), np.empty(n)
+    _combine(
+        px, J, place, fit.covariance, refined.used, refined.center_px, refined.rims.covariance_px,
+        f2 * lattice.scatter_mm**2, f2 * lattice.height_scatter_mm**2, refined.misfit.variance_px2, center, variance,
+    )  # fmt: skip
+    return center, np.sqrt(variance + refined.bias.variance_px2(place))
+
+
+@compiled
+def _combine(
+    px: Array, J: Array, place: Array, covariance: Array, used: NDArray[np.bool_], measured: Array, noise: Array,
+    scatter2: float, height2: float, misfit: Array, center: Array, variance: Array,
+) -> None:  # fmt: skip
+    """Weighted mean of each tube's own centre and of where the pose puts it; variance per axis."""
+    m = covariance.shape[0]
+    for i in range(px.shape[0]):
+        pxx, pxy, pyy = 0.0, 0.0, 0.0
+        for q in range(m):
+            gx, gy = 0.0, 0.0
+            for p in range(m):
+                gx += J[i, 0, p] * covariance[p, q]
+                gy += J[i, 1, p] * covariance[p, q]
+            pxx += gx * J[i, 0, q]
+            pxy += gx * J[i, 1, q]
+            pyy += gy * J[i, 1, q]
+        if not used[i]:
+            center[i] = px[i]
+            variance[i] = 0.5 * (pxx + pyy)
+            continue
+        q = place[i]
+        sxx = scatter2 * (q[0, 0] ** 2 + q[0, 1] ** 2) + height2 * q[0, 2] ** 2
+        sxy = scatter2 * (q[0, 0] * q[1, 0] + q[0, 1] * q[1, 1]) + height2 * q[0, 2] * q[1, 2]
+        syy = scatter2 * (q[1, 0] ** 2 + q[1, 1] ** 2) + height2 * q[1, 2] ** 2
+        cxx, cxy, cyy = noise[i, 0], noise[i, 1], noise[i, 2]
+        txx, txy, tyy = sxx + cxx, sxy + cxy, syy + cyy
+        det = txx * tyy - txy * txy
+        # gain G = S (S + C)^-1: what the tube's own centre counts for
+        g00, g01 = (sxx * tyy - sxy * txy) / det, (sxy * txx - sxx * txy) / det
+        g10, g11 = (sxy * tyy - syy * txy) / det, (syy * txx - sxy * txy) / det
+        dx, dy = measured[i, 0] - px[i, 0], measured[i, 1] - px[i, 1]
+        center[i, 0], center[i, 1] = px[i, 0] + g00 * dx + g01 * dy, px[i, 1] + g10 * dx + g11 * dy
+        own = g00 * cxx + g01 * cxy + g10 * cxy + g11 * cyy
+        a, b, c, d = 1.0 - g00, -g01, -g10, 1.0 - g11
+        shared = a * a * pxx + 2.0 * a * b * pxy + b * b * pyy + c * c * pxx + 2.0 * c * d * pxy + d * d * pyy
+        variance[i] = 0.5 * (own + shared) + misfit[i]

@@ -104,11 +104,20 @@ class PlaceMap:
 
 def _offsets(refined: Refined) -> tuple[Array, Array]:
     """Each place's offset from nominal in the sheet, (n, 2) mm, and its variance, (n,) mm^2."""
-    inverse = np.linalg.inv(refined.place[:, :, :2])
-    off = np.einsum("nij,nj->ni", inverse, refined.center_px - refined.predicted_px)
-    scale2 = np.linalg.det(inverse)
-    covariance = refined.rims.covariance_px
-    return np.ascontiguousarray(off), np.abs(scale2) * (covariance[:, 0] + covariance[:, 2]) / 2
+    n = len(refined.sites)
+    off, variance = np.empty((n, 2)), np.empty(n)
+    _to_sheet(refined.place, refined.center_px, refined.predicted_px, refined.rims.covariance_px, off, variance)
+    return off, variance
+
+
+@compiled
+def _to_sheet(place: Array, center: Array, predicted: Array, covariance: Array, off: Array, variance: Array) -> None:
+    for i in range(place.shape[0]):
+        a, b, c, d = place[i, 0, 0], place[i, 0, 1], place[i, 1, 0], place[i, 1, 1]
+        det = a * d - b * c
+        dx, dy = center[i, 0] - predicted[i, 0], center[i, 1] - predicted[i, 1]
+        off[i, 0], off[i, 1] = (d * dx - b * dy) / det, (a * dy - c * dx) / det
+        variance[i] = 0.5 * (covariance[i, 0] + covariance[i, 2]) / abs(det)
 
 
 @compiled

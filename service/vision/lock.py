@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.refinement import accepted
-from service.vision.rims import sample_rims, solve_rims
+from service.vision.rims import measure_rims
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -66,9 +66,7 @@ def prove(image: Image, refined: Refined, lattice: Lattice) -> Proof:
     found = 0
     for offset in between:
         places = refined.sites.sheet_mm[refined.used] + offset
-        rims = solve_rims(
-            sample_rims(image, vector, fit.rotation, fit.translation_mm, places, lattice, refined.profile)
-        )
+        rims = measure_rims(image, vector, fit.rotation, fit.translation_mm, places, lattice, refined.profile)
         alike = (rims.gain > ALIKE * gain) & (rims.bore < bore + (1 - ALIKE) * gain)  # as dark as the tube beside it
         found = max(found, int((accepted(rims, refined.profile.width_px, usual) & alike).sum()))
     decoys = found / measured

@@ -15,7 +15,7 @@ import cv2
 import numpy as np
 
 from service.vision.camera import TSAI, Camera, OpenCVLens, TsaiLens
-from service.vision.compiled import compiled, median_in_place
+from service.vision.compiled import compiled, median_of
 from service.vision.projection import distort_jacobian, distort_point
 
 if TYPE_CHECKING:
@@ -30,6 +30,8 @@ __all__ = ["Fit", "Prior", "camera_with", "fit_pose", "linearise", "pose_from_pl
 POSE = 6
 PARAMETERS = ("focal_length_mm", "sx", "cx_px", "cy_px", "kappa1_per_mm2", "k1", "k2", "p1", "p2", "k3")
 """The camera's parameters in the order of `linearise`'s columns, behind the six of the pose."""
+STILL = 1e-3
+"""A solution whose chi-square falls by less stands still."""
 TUKEY = 4.685
 """Tukey's constant: 95 % efficiency where errors are normal."""
 
@@ -198,7 +200,7 @@ def _weigh(m2: Array, scale: float, weight: Array) -> float:
 @compiled
 def _scale_of(m2: Array) -> float:
     """Robust variance of unit weight; 1.386 is the median of chi-square with two degrees of freedom."""
-    return max(median_in_place(m2.copy(), m2.shape[0]) / 1.386, 0.25)
+    return max(median_of(m2) / 1.386, 0.25)
 
 
 @compiled
@@ -285,7 +287,7 @@ def _gauss_newton(
             break
         R, t, theta, pivot = Q, tn, trial, turned_pivot
         damping *= 0.1
-        if cost - new < 1e-5:
+        if cost - new < STILL:
             converged = True
             break
     scale = _scale_of(m2)

@@ -8,7 +8,8 @@ import cv2
 import numpy as np
 
 from service.vision.camera import Camera, TsaiLens
-from service.vision.estimates import pose_of, tubes_of
+from service.vision.compiled import median_of
+from service.vision.estimates import estimates
 from service.vision.fields import Interlace, Scan
 from service.vision.lattice import Arrangement, Lattice
 from service.vision.measurement import Doubt, Lock, Measurement, Tubes
@@ -151,8 +152,7 @@ class Measurer:
         name = "progressive" if parity is None else ("top", "bottom")[parity]
         if found.refined is None:
             return Measurement(name, Lock.NONE, found.reason, (), Tubes.none(), None, time_ns, watch.elapsed_ms())
-        pose = pose_of(found.refined, self._lattice, self._camera, parity)
-        tubes = tubes_of(found.refined, self._lattice, parity)
+        pose, tubes = estimates(found.refined, self._lattice, self._camera, parity)
         doubt = doubts(found, found.refined, pose, self._lattice)
         lock = Lock.PARTIAL if doubt else Lock.FULL
         watch.lap("pose")
@@ -161,7 +161,7 @@ class Measurer:
 
 def doubts(seen: Seen, refined: Refined, pose: Pose, lattice: Lattice) -> tuple[Doubt, ...]:
     """What a locked pose is unsure of."""
-    radius = lattice.rim_radius_mm * float(np.median(np.linalg.norm(refined.place[:, 0, :2], axis=1)))
+    radius = lattice.rim_radius_mm * median_of(np.hypot(refined.place[:, 0, 0], refined.place[:, 0, 1]))
     found = {
         Doubt.INDEX: seen.index_in_doubt,
         Doubt.SCALE: pose.sigma.distance_mm > UNSURE_SCALE * pose.distance_mm,

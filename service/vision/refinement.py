@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from service.vision.compiled import median_of
 from service.vision.pose import Fit, fit_pose, linearise
 from service.vision.rims import (
     EdgeProfile,
     Rims,
+    measure_rims,
     profile_of,
-    sample_rims,
-    solve_rims,
     start_profile,
 )
 from service.vision.sites import Sites, sites_in_picture
@@ -40,6 +40,7 @@ LEAST_STRENGTH = 2.4
 LEAST_RAYS = 0.4
 LEAST_TUBES = 6
 """Fewer measured tubes do not make a pose worth telling."""
+QUICK_RAYS = 16
 NARROWING = 0.36
 """Most that the search narrows from pass to pass."""
 LIKELY_WIDTH_PX = 1.2
@@ -134,46 +135,71 @@ def refine(
     first
         Tubes that the first pass measures, spread over the picture; by default all.
     """
-    size = image.shape[1], image.shape[0]
-    refined: Refined | None = None
-    for step in range(passes):
-        vector = camera.vector()
-        sites = sites_in_picture(vector, rotation, translation_mm, lattice, size, 0.0)
-        if len(sites) < LEAST_TUBES:
-            return None
-        if step == 0 and first is not None and passes > 1 and len(sites) > first:
-            sites = sites.take(np.linspace(0, len(sites) - 1, first).astype(np.int64))
-        samples = sample_rims(image, vector, rotation, translation_mm, sites.sheet_mm, lattice, profile)
-        rims = solve_rims(samples)
+    for step in range(passes - 1):
+        quick = first is not None and step == 0
+        looked = _look(image, camera, lattice, rotation, translation_mm, profile, first if quick else None)
         watch.lap("detect")
-        used = accepted(rims, profile.width_px)
-        if used.sum() < LEAST_TUBES:
+        if looked is None:
             return None
-        center = samples.center_px + rims.shift_px
-        bias = None
-        if step == passes - 1:
-            _, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
-            bias = edge_bias(samples, rims, used, place)
-            center = center - bias.of(place, rims.light_px)
+        sites, rims, used = looked
         fit = fit_pose(
-            sites.sheet_mm[used], center[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice,
-            prior, scatter_factor=scatter_factor,
+            sites.sheet_mm[used], rims.center_px[used], rims.covariance_px[used], camera, rotation, translation_mm,
+            lattice, prior, scatter_factor=scatter_factor,
         )  # fmt: skip
         camera, rotation, translation_mm = fit.camera, fit.rotation, fit.translation_mm
-        profile = _narrowed(profile_of(samples, rims), profile)
+        if not quick:
+            profile = _narrowed(profile_of(rims), profile)
         watch.lap("pose")
-        if bias is not None:
-            predicted, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
-            light = rims.light_px[used] * math.sqrt(bias.covariance[3, 3])
-            response = fit.response(light)
-            misfit = smooth_misfit(fit, predicted[used], size, predicted)
-            fit = replace(fit, covariance=fit.covariance + np.outer(response, response) + misfit.covariance)
-            used[np.flatnonzero(used)[fit.weight <= 0]] = False
-            refined = Refined(
-                sites, rims, center, used, fit, predicted, place, profile, bias, misfit, scatter_factor,
-                tube_states(sites, samples, rims, used), parity,
-            )  # fmt: skip
+    looked = _look(image, camera, lattice, rotation, translation_mm, profile, None)
+    watch.lap("detect")
+    if looked is None:
+        return None
+    size = image.shape[1], image.shape[0]
+    refined = _solved(*looked, size, camera, lattice, prior, rotation, translation_mm, scatter_factor, parity)
+    watch.lap("pose")
     return refined
+
+
+def _look(
+    image: Image, camera: Camera, lattice: Lattice, rotation: Array, translation_mm: Array, profile: EdgeProfile,
+    first: int | None,
+) -> tuple[Sites, Rims, NDArray[np.bool_]] | None:  # fmt: skip
+    """Measure the tubes in the picture, or `first` of them quickly; None where too few are seen."""
+    vector, size = camera.vector(), (image.shape[1], image.shape[0])
+    sites = sites_in_picture(vector, rotation, translation_mm, lattice, size, 0.0)
+    if len(sites) < LEAST_TUBES:
+        return None
+    if first is not None and len(sites) > first:
+        sites = sites.take(np.linspace(0, len(sites) - 1, first).astype(np.int64))
+    rays = None if first is None else QUICK_RAYS
+    rims = measure_rims(image, vector, rotation, translation_mm, sites.sheet_mm, lattice, profile, rays)
+    used = accepted(rims, profile.width_px)
+    return None if used.sum() < LEAST_TUBES else (sites, rims, used)
+
+
+def _solved(
+    sites: Sites, rims: Rims, used: NDArray[np.bool_], size_px: tuple[int, int], camera: Camera, lattice: Lattice,
+    prior: Prior, rotation: Array, translation_mm: Array, scatter_factor: float, parity: int | None,
+) -> Refined:  # fmt: skip
+    """The last solution: without what the edges have in common, and with what is not known of it in its covariance."""
+    _, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
+    bias = edge_bias(rims, used, place)
+    center = rims.center_px - bias.of(place, rims.light_px)
+    fit = fit_pose(
+        sites.sheet_mm[used], center[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice, prior,
+        scatter_factor=scatter_factor,
+    )  # fmt: skip
+    predicted, place = projected(fit.camera, fit.rotation, fit.translation_mm, sites.sheet_mm)
+    light = fit.response(rims.light_px[used] * math.sqrt(bias.covariance[3, 3]))
+    misfit = smooth_misfit(fit, predicted[used], size_px, predicted)
+    fit = replace(fit, covariance=fit.covariance + np.outer(light, light) + misfit.covariance)
+    agreeing = used.copy()
+    agreeing[np.flatnonzero(used)[fit.weight <= 0]] = False
+    return Refined(
+        sites=sites, rims=rims, center_px=center, used=agreeing, fit=fit, predicted_px=predicted, place=place,
+        profile=_narrowed(profile_of(rims), rims.seen.profile), bias=bias, misfit=misfit,
+        scatter_factor=scatter_factor, state=tube_states(sites, rims, agreeing), parity=parity,
+    )  # fmt: skip
 
 
 def _narrowed(seen: EdgeProfile | None, before: EdgeProfile) -> EdgeProfile:
@@ -196,6 +222,6 @@ def accepted(rims: Rims, width_px: float, usual_radius_px: float | None = None) 
     """Tubes whose edge is clear, whole enough, of the usual size (that of the others) and where it may be."""
     clear = (rims.strength > LEAST_STRENGTH) & (rims.rays > LEAST_RAYS)
     if usual_radius_px is None:
-        usual_radius_px = float(np.median(rims.radius_px[clear])) if clear.any() else 0.0
+        usual_radius_px = median_of(rims.radius_px[clear]) if clear.any() else 0.0
     right_size = np.abs(rims.radius_px - usual_radius_px) < width_px
     return np.asarray(clear & right_size & (np.hypot(rims.shift_px[:, 0], rims.shift_px[:, 1]) < 2 * width_px))

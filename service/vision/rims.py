@@ -33,28 +33,31 @@ if TYPE_CHECKING:
 
 __all__ = [
     "EdgeProfile",
-    "RimSamples",
     "Rims",
     "light_shift",
-    "mean_profiles",
+    "measure_rims",
     "profile_of",
-    "sample_rims",
     "solve_feet",
-    "solve_rims",
     "start_profile",
 ]
 
 NODES = 8
 """Points of a circle that are projected exactly; a trigonometric polynomial through them gives the others."""
-SAMPLES = 16
-GRID = -3.8 + 0.45 * np.arange(SAMPLES)
+_ANGLE = 2 * np.pi * np.arange(NODES) / NODES
+NODE_WAVES = np.column_stack([np.ones(NODES), np.cos(_ANGLE), np.sin(_ANGLE), np.cos(2 * _ANGLE), np.sin(2 * _ANGLE)])
+RAY_SPACING_PX = 2.8
+SAMPLES = 12
+GRID = np.array([-3.6, -2.9, -2.2, -1.6, -1.1, -0.65, -0.2, 0.25, 0.7, 1.3, 2.0, 2.9])
 """Where a ray is sampled, in edge widths from the edge's place."""
-INSIDE = np.where(np.arange(SAMPLES) < 3, 1 / 3, 0.0)
-OUTSIDE = np.where(np.arange(SAMPLES) >= SAMPLES - 2, 1 / 2, 0.0)
-"""What makes the mean level of a ray's inner end, which lies in the bore, and of its outer end."""
-EDGE = np.exp(-0.5 * ((GRID + 0.07) / 0.44) ** 2)
-"""What a sample counts for: just inside of half height, where glints beyond the edge hardly reach. Least noise."""
-FOOT = np.where(GRID < 0.25, 1.0, 0.0)
+INNER = 3
+"""Samples at a ray's inner end that lie in the bore; its two last ones lie outside."""
+EDGE_FROM, EDGE_TO, FOOT_TO = 4, 9, 8
+"""The samples that the two windows span."""
+EDGE = np.where(
+    (np.arange(SAMPLES) >= EDGE_FROM) & (np.arange(SAMPLES) < EDGE_TO), np.exp(-0.5 * ((GRID + 0.07) / 0.44) ** 2), 0
+)
+"""What a sample counts for: the middle of the edge. Least noise."""
+FOOT = np.where(np.arange(SAMPLES) < FOOT_TO, np.gradient(GRID), 0.0)
 """The same for all of the edge's foot, with each ray's offset its own. Least bias."""
 OFFSET_PRIOR = 0.27
 """How strongly a ray's offset is drawn to the tube's, relative to the ray's own information; the foot's is free."""
@@ -84,6 +87,8 @@ LEAST_RAY_SIGMA = 0.05
 SHARED = 1.4
 """Neighbouring rays see the same pixels: their common error counts once, measured on truth."""
 WIDTH_LIMITS_PX = (0.5, 4.5)
+TOP = int(np.searchsorted(GRID, 1.9))
+"""Samples among which an edge's top is looked for: farther out the weld begins."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,53 +121,17 @@ def start_profile(width_px: float = 1.2, position_px: float = 0.0) -> EdgeProfil
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RimSamples:
-    """Grey values along the rays of n predicted rims.
-
-    Attributes
-    ----------
-    grey
-        (n, rays, SAMPLES) float32.
-    normal
-        (n, rays, 2) gradient of the distance across the rim by a shift in x and y: outward normals, of unit length
-        where pixels are square. Distances along a ray are in px of x.
-    valid
-        (n, rays) whether the ray lies in the picture.
-    center_px
-        (n, 2) where the centre of each tube-end circle projects; NaN where it does not.
-    radius_px, pitch_px
-        Rim radius and lattice pitch in the middle of the picture, px of x.
-    aspect
-        Height of a pixel over its width.
-    resolved
-        Width of the tube wall over that of the edge's blur.
-    profile
-        The edge that placed the samples.
-    """
-
-    grey: NDArray[np.float32]
-    normal: NDArray[np.float64]
-    valid: NDArray[np.bool_]
-    center_px: NDArray[np.float64]
-    radius_px: float
-    pitch_px: float
-    aspect: float
-    resolved: float
-    profile: EdgeProfile
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Rims:
-    """What the rims showed, in the order asked for.
+    """What the rims at n predicted places showed, in the order asked for.
 
     Attributes
     ----------
-    shift_px
-        (n, 2) measured minus predicted centre.
+    center_px
+        (n, 2) measured centre of each tube-end circle's projection; NaN where it has none.
     radius_px
         (n,) change of the apparent radius against the profile's.
     covariance_px
-        (n, 3) xx, xy, yy of the shift.
+        (n, 3) xx, xy, yy of the centre.
     gain, bore, outside
         (n,) grey: height of the edge, level in the bore, level at the rays' outer ends.
     strength
@@ -172,9 +141,15 @@ class Rims:
     light_px
         (n, 2) edge width times the relative change of the light from the tube's centre to its rim: what uneven light
         may shift a rim by.
+    shift_px
+        (n, 2) how far the centre lies from where it was predicted.
+    rays_dots, rays_normal, rays_valid, mean
+        What was seen along the rays, for `solve_feet` and `profile_of`.
+    look
+        What the rays were sampled and weighed with.
     """
 
-    shift_px: NDArray[np.float64]
+    center_px: NDArray[np.float64]
     radius_px: NDArray[np.float64]
     covariance_px: NDArray[np.float64]
     gain: NDArray[np.float64]
@@ -183,9 +158,70 @@ class Rims:
     strength: NDArray[np.float64]
     rays: NDArray[np.float64]
     light_px: NDArray[np.float64]
+    shift_px: NDArray[np.float64]
+    seen: Seen
 
 
-def sample_rims(
+@dataclass(frozen=True, slots=True, eq=False)
+class Seen:
+    """Grey values along the rays of n predicted rims, condensed.
+
+    Attributes
+    ----------
+    dots
+        (n, rays, 8) float32: a ray's samples with (1, T, -T') under the window of whole edges and under that of their
+        feet, and its mean level inside and outside.
+    normal
+        (n, rays, 2) gradient of the distance across the rim by a shift in x and y: outward normals, of unit length
+        where pixels are square. Distances along a ray are in px of x.
+    valid
+        (n, rays) whether the ray lies in the picture.
+    mean
+        (n, SAMPLES) mean profile of each tube's rays.
+    slope
+        (n, 2) relative change of the light from the tube's centre to its rim.
+    aspect
+        Height of a pixel over its width.
+    profile
+        The edge that placed the samples.
+    edge, foot
+        How each window weighs them.
+    """
+
+    dots: NDArray[np.float32]
+    normal: NDArray[np.float64]
+    valid: NDArray[np.bool_]
+    mean: NDArray[np.float64]
+    slope: NDArray[np.float64]
+    aspect: float
+    profile: EdgeProfile
+    edge: Window
+    foot: Window
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Window:
+    """How the samples of a ray are weighed.
+
+    Attributes
+    ----------
+    normal_matrix
+        (3, 3) of the basis (1, T, -T') under the window.
+    inverse
+        (3, 3) its inverse with the priors added: gives a ray's offset, gain, and gain times shift.
+    gain_prior
+        Information that draws a ray's gain to the tube's, relative to the ray's own.
+    radius_sigma_px
+        How far one tube's apparent radius strays from the picture's.
+    """
+
+    normal_matrix: NDArray[np.float64]
+    inverse: NDArray[np.float64]
+    gain_prior: float
+    radius_sigma_px: float
+
+
+def measure_rims(
     image: Image,
     vector: Array,
     rotation: Array,
@@ -194,8 +230,8 @@ def sample_rims(
     lattice: Lattice,
     profile: EdgeProfile,
     rays: int | None = None,
-) -> RimSamples:
-    """Sample the rims of the tubes at `sheet_mm`, (n, 2) nominal places, n >= 1.
+) -> Rims:
+    """Measure the tubes at `sheet_mm`, (n, 2) nominal places, n >= 1, predicted to within REACH edge widths.
 
     Parameters
     ----------
@@ -208,66 +244,101 @@ def sample_rims(
     rays
         Rays a tube; by default as many as the rim's size deserves.
     """
+    n, aspect = len(sheet_mm), float(vector[0] / vector[1])
     scale = _px_per_mm(vector, rotation, translation_mm, sheet_mm)
-    count = rays or int(np.clip(round(2 * math.pi * lattice.rim_radius_mm * scale / 2.2 / 4) * 4, 16, 48))
-    turn, slope = _circle(count)
-    n = len(sheet_mm)
-    grey, normal = np.empty((n, count, SAMPLES), np.float32), np.empty((n, count, 2))
-    center, valid = np.empty((n, 2)), np.empty((n, count), np.bool_)
+    count = rays or int(np.clip(round(2 * math.pi * lattice.rim_radius_mm * scale / RAY_SPACING_PX / 4) * 4, 16, 40))
+    resolved = max((lattice.outer_radius_mm - lattice.rim_radius_mm) * scale / profile.width_px, 1e-3)
+    edge, foot, functionals = _windows(profile, resolved)
+    dots, normal = np.empty((n, count, 8), np.float32), np.empty((n, count, 2))
+    valid, mean = np.empty((n, count), np.bool_), np.empty((n, SAMPLES))
+    center, slope, out = np.empty((n, 2)), np.zeros((n, 2)), np.zeros((n, 11))
     _sample(
-        image, vector, rotation, translation_mm, sheet_mm, lattice.rim_radius_mm, turn, slope, profile.offsets_px,
-        grey, normal, center, valid,
+        image, vector, rotation, translation_mm, sheet_mm, lattice.rim_radius_mm, _circle(count),
+        profile.offsets_px, functionals, dots, normal, center, valid, mean,
     )  # fmt: skip
-    wall = (lattice.outer_radius_mm - lattice.rim_radius_mm) * scale
-    return RimSamples(
-        grey, normal, valid, center, lattice.rim_radius_mm * scale, lattice.pitch_mm * scale,
-        float(vector[0] / vector[1]),
-        max(wall / profile.width_px, 1e-3), profile,
+    _levels_of(dots, valid, edge.normal_matrix, out)
+    _light_slopes(center, aspect, out, SLOPE_REACH * lattice.pitch_mm * scale, lattice.rim_radius_mm * scale, slope)
+    _solve(
+        dots, normal, valid, np.arange(n), 0, edge.normal_matrix, edge.inverse, edge.gain_prior, slope, aspect,
+        edge.radius_sigma_px, REACH * profile.width_px, out,
+    )  # fmt: skip
+    light = slope * [profile.width_px, profile.width_px / aspect]
+    shift = out[:, 0:2] + light_shift(profile.width_px) * light
+    return Rims(
+        center_px=center + shift, radius_px=out[:, 10], covariance_px=out[:, 2:5], gain=out[:, 5], bore=out[:, 6],
+        outside=out[:, 7], strength=out[:, 8], rays=out[:, 9], light_px=light, shift_px=shift,
+        seen=Seen(dots, normal, valid, mean, slope, aspect, profile, edge, foot),
     )  # fmt: skip
 
 
-def solve_rims(samples: RimSamples) -> Rims:
-    """Solve for every tube's shift with the least noise: foot and middle of the edge."""
-    everyone = np.arange(len(samples.grey))
-    gain_prior = float(np.clip((2.05 / samples.resolved) ** 5.2, 0.003, 30.0))
-    return _solved(samples, everyone, EDGE, OFFSET_PRIOR, gain_prior, RADIUS_SIGMA)
-
-
-def solve_feet(samples: RimSamples, which: NDArray[np.int64]) -> Rims:
+def solve_feet(rims: Rims, which: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """Solve for the shift of the tubes `which` with the least bias: the foot of the edge alone.
 
-    Nothing beyond the edge reaches it, neither a glint on the weld bead nor light that falls off across the tube: each
-    ray's offset and gain are its own. It is noisier, and serves to tell what all the others have in common.
+    Nothing beyond the edge reaches it, such as a glint on the weld bead, and each ray's offset is its own. It is
+    noisier, and serves to tell what all the others have in common.
+
+    Returns
+    -------
+    shift_px, covariance_px, quality
+        (m, 2), (m, 3) as in `Rims`, and (m, 2): strength and share of rays.
     """
-    gain_prior = float(np.clip((1.45 / samples.resolved) ** 4.1, 0.0, 30.0))
-    return _solved(samples, which, FOOT, 0.0, gain_prior, FOOT_RADIUS_SIGMA)
-
-
-def _solved(
-    samples: RimSamples, which: NDArray[np.int64], window: Array, offset_prior: float, gain_prior: float, radius: float
-) -> Rims:
-    profile, out = samples.profile, np.empty((len(which), 11))
-    basis = np.column_stack(
-        [np.ones(SAMPLES), profile.template, -np.gradient(profile.template, profile.width_px * GRID)]
-    )
-    M = (basis.T * window) @ basis
-    Q = np.linalg.inv(M + np.diag([offset_prior * M[0, 0], gain_prior * M[1, 1], 0.0]))
-    functionals = np.column_stack([basis * window[:, None], INSIDE, OUTSIDE]).astype(np.float32)
-    dots = samples.grey @ functionals
-    width = profile.width_px
-    slope = np.zeros((len(which), 2))
-    _levels_of(dots, samples.valid, which, M, out)
-    _light_slopes(samples.center_px[which], samples.aspect, out, SLOPE_REACH * samples.pitch_px, slope)
-    slope *= samples.radius_px
+    seen, foot = rims.seen, rims.seen.foot
+    width = seen.profile.width_px
+    out = np.zeros((len(which), 11))
+    out[:, 5], out[:, 6] = rims.gain[which], rims.bore[which]
+    out[:, 8], out[:, 9] = rims.strength[which], rims.rays[which]
     _solve(
-        dots, samples.normal, samples.valid, which, M, Q, gain_prior, slope, samples.aspect, radius * width,
-        REACH * width, out,
+        seen.dots, seen.normal, seen.valid, which, 3, foot.normal_matrix, foot.inverse, foot.gain_prior, seen.slope,
+        seen.aspect, foot.radius_sigma_px, REACH * width, out,
     )  # fmt: skip
-    light = slope * [width, width / samples.aspect]
-    return Rims(
-        shift_px=out[:, 0:2] + light_shift(width) * light, covariance_px=out[:, 2:5], gain=out[:, 5], bore=out[:, 6],
-        outside=out[:, 7], strength=out[:, 8], rays=out[:, 9], radius_px=out[:, 10], light_px=light,
-    )  # fmt: skip
+    return out[:, 0:2] + light_shift(width) * rims.light_px[which], out[:, 2:5], out[:, 8:10]
+
+
+def _windows(profile: EdgeProfile, resolved: float) -> tuple[Window, Window, NDArray[np.float32]]:
+    """The two ways of weighing a ray, least noise and least bias; and what samples are multiplied with, (6, SAMPLES).
+
+    `resolved` is the width of the tube wall over that of the edge's blur: what lies beyond an unresolved wall must not
+    be taken for its own brightness.
+    """
+    edge_gain = min(max((2.05 / resolved) ** 5.2, 0.003), 30.0)
+    foot_gain = min((1.45 / resolved) ** 4.1, 30.0)
+    width = profile.width_px
+    functionals = np.empty((6, SAMPLES), np.float32)
+    edge, foot = np.empty((2, 3, 3)), np.empty((2, 3, 3))
+    _weigh(profile.template, width, EDGE, OFFSET_PRIOR, edge_gain, functionals[0:3], edge)
+    _weigh(profile.template, width, FOOT, 0.0, foot_gain, functionals[3:6], foot)
+    return (
+        Window(edge[0], edge[1], edge_gain, RADIUS_SIGMA * width),
+        Window(foot[0], foot[1], foot_gain, FOOT_RADIUS_SIGMA * width),
+        functionals,
+    )
+
+
+@compiled
+def _weigh(
+    T: Array, width: float, weight: Array, offset_prior: float, gain_prior: float, functionals: NDArray[np.float32],
+    out: Array,
+) -> None:  # fmt: skip
+    """Functionals of the basis (1, T, -T') under a window; its normal matrix, and the inverse with the priors added."""
+    last = T.shape[0] - 1
+    M = np.zeros((3, 3))
+    row = np.empty(3)
+    for j in range(T.shape[0]):
+        left, right = max(j - 1, 0), min(j + 1, last)
+        row[0], row[1], row[2] = 1.0, T[j], -(T[right] - T[left]) / (width * (GRID[right] - GRID[left]))
+        for p in range(3):
+            functionals[p, j] = weight[j] * row[p]
+            for q in range(3):
+                M[p, q] += weight[j] * row[p] * row[q]
+    out[0] = M
+    M[0, 0] *= 1.0 + offset_prior
+    M[1, 1] *= 1.0 + gain_prior
+    for p in range(3):  # cofactors
+        a, b = (p + 1) % 3, (p + 2) % 3
+        for q in range(3):
+            c, d = (q + 1) % 3, (q + 2) % 3
+            out[1, q, p] = M[a, c] * M[b, d] - M[a, d] * M[b, c]
+    out[1] /= M[0, 0] * out[1, 0, 0] + M[0, 1] * out[1, 1, 0] + M[0, 2] * out[1, 2, 0]
 
 
 def light_shift(width_px: float) -> float:
@@ -287,45 +358,42 @@ def _px_per_mm(vector: Array, rotation: Array, translation_mm: Array, sheet_mm: 
 
 
 @lru_cache(maxsize=64)
-def _circle(count: int) -> tuple[Array, Array]:
-    """Matrices (count, NODES) that take a circle's NODES projected points to `count` points and their derivatives."""
-    d = 2 * np.pi * (np.arange(count)[:, None] / count - np.arange(NODES)[None] / NODES)
-    value, slope = np.ones_like(d), np.zeros_like(d)
-    for harmonic in range(1, NODES // 2):
-        value += 2 * np.cos(harmonic * d)
-        slope -= 2 * harmonic * np.sin(harmonic * d)
-    value += np.cos(NODES // 2 * d)
-    slope -= NODES // 2 * np.sin(NODES // 2 * d)
-    return value / NODES, slope / NODES
+def _circle(count: int) -> Array:
+    """Cosine and sine of `count` angles around a circle, and of twice those, (count, 4)."""
+    a = 2 * np.pi * np.arange(count) / count
+    return np.column_stack([np.cos(a), np.sin(a), np.cos(2 * a), np.sin(2 * a)])
 
 
 @compiled
 def _sample(
-    image: Image, v: Array, R: Array, t: Array, sheet_mm: Array, radius_mm: float, turn: Array, slope: Array,
-    offsets: Array, grey: NDArray[np.float32], normal: Array, center: Array, valid: NDArray[np.bool_],
+    image: Image, v: Array, R: Array, t: Array, sheet_mm: Array, radius_mm: float, circle: Array, offsets: Array,
+    functionals: NDArray[np.float32], dots: NDArray[np.float32], normal: Array, center: Array,
+    valid: NDArray[np.bool_], mean: Array,
 ) -> None:  # fmt: skip
-    """Grey values along the normals of projected circles, bilinear; a ray that leaves the picture is not valid."""
+    """Sample along the normals of projected circles, bilinear; a ray that leaves the picture is not valid."""
     h, w = image.shape
-    count, last = turn.shape[0], offsets.shape[0] - 1
+    count, last = circle.shape[0], offsets.shape[0] - 1
     aspect = v[0] / v[1]
-    nodes, scratch, place = np.empty((NODES, 2)), np.empty((6, SAMPLES), np.float32), np.empty(SAMPLES, np.int32)
+    wave = np.empty((2, 5))
+    scratch, place, u = np.empty((6, SAMPLES), np.float32), np.empty(SAMPLES, np.int32), offsets.astype(np.float32)
+    grey, total = np.empty(SAMPLES, np.float32), np.empty(SAMPLES, np.float32)
     for i in range(sheet_mm.shape[0]):
         center[i, 0], center[i, 1] = project_point(v, R, t, sheet_mm[i, 0], sheet_mm[i, 1], 0.0)
-        sign = _project_circle(v, R, t, sheet_mm[i, 0], sheet_mm[i, 1], radius_mm, nodes)
+        sign = _project_circle(v, R, t, sheet_mm[i, 0], sheet_mm[i, 1], radius_mm, wave)
         if math.isnan(center[i, 0]) or sign == 0.0:
             valid[i] = False
-            grey[i] = 0.0
             continue
+        seen = 0
+        total[:] = 0.0
         for k in range(count):
-            x, y, tx, ty = 0.0, 0.0, 0.0, 0.0
-            for j in range(NODES):
-                x += turn[k, j] * nodes[j, 0]
-                y += turn[k, j] * nodes[j, 1]
-                tx += slope[k, j] * nodes[j, 0]
-                ty += slope[k, j] * nodes[j, 1]
+            c1, s1, c2, s2 = circle[k, 0], circle[k, 1], circle[k, 2], circle[k, 3]
+            x = wave[0, 0] + wave[0, 1] * c1 + wave[0, 2] * s1 + wave[0, 3] * c2 + wave[0, 4] * s2
+            y = wave[1, 0] + wave[1, 1] * c1 + wave[1, 2] * s1 + wave[1, 3] * c2 + wave[1, 4] * s2
+            tx = wave[0, 2] * c1 - wave[0, 1] * s1 + 2.0 * (wave[0, 4] * c2 - wave[0, 3] * s2)
+            ty = wave[1, 2] * c1 - wave[1, 1] * s1 + 2.0 * (wave[1, 4] * c2 - wave[1, 3] * s2)
             ty *= aspect  # square up the pixels: blur and edge are round on the sensor, not in a field's lines
-            length = math.sqrt(tx * tx + ty * ty)
-            nx, ny = sign * ty / length, -sign * tx / length
+            scale = sign / math.sqrt(tx * tx + ty * ty)
+            nx, ny = ty * scale, -tx * scale
             normal[i, k, 0], normal[i, k, 1] = nx, aspect * ny
             ny /= aspect
             x0, x1 = x + offsets[0] * nx, x + offsets[last] * nx
@@ -333,30 +401,37 @@ def _sample(
             inside = min(x0, x1) >= 0.0 and max(x0, x1) < w - 1.01 and min(y0, y1) >= 0.0 and max(y0, y1) < h - 1.01
             valid[i, k] = inside
             if inside:
-                _along(image, x, y, nx, ny, offsets, place, scratch, grey[i, k])
-            else:
-                grey[i, k] = 0.0
+                seen += 1
+                _along(image, x, y, nx, ny, u, place, scratch, grey)
+                _condense(grey, functionals, dots[i, k])
+                for j in range(SAMPLES):
+                    total[j] += grey[j]
+        for j in range(SAMPLES):
+            mean[i, j] = total[j] / max(seen, 1)
 
 
 @compiled
-def _project_circle(v: Array, R: Array, t: Array, x: float, y: float, radius_mm: float, nodes: Array) -> float:
-    """Project NODES points of a circle; gives the sense they run in, +1 or -1, or 0 where a point has no image."""
+def _project_circle(v: Array, R: Array, t: Array, x: float, y: float, radius_mm: float, wave: Array) -> float:
+    """Project a circle as a trigonometric polynomial of second order, (2, 5), through NODES of its points.
+
+    Gives the sense it runs in, +1 or -1, or 0 where a point has no image.
+    """
+    for p in range(5):
+        wave[0, p], wave[1, p] = 0.0, 0.0
     for j in range(NODES):
-        a = 2.0 * math.pi * j / NODES
-        px, py = project_point(v, R, t, x + radius_mm * math.cos(a), y + radius_mm * math.sin(a), 0.0)
+        px, py = project_point(v, R, t, x + radius_mm * NODE_WAVES[j, 1], y + radius_mm * NODE_WAVES[j, 2], 0.0)
         if math.isnan(px):
             return 0.0
-        nodes[j, 0], nodes[j, 1] = px, py
-    area = 0.0
-    for j in range(NODES):
-        k = (j + 1) % NODES
-        area += nodes[j, 0] * nodes[k, 1] - nodes[k, 0] * nodes[j, 1]
-    return 1.0 if area > 0.0 else -1.0
+        for p in range(5):
+            share = (2.0 if p else 1.0) / NODES * NODE_WAVES[j, p]
+            wave[0, p] += share * px
+            wave[1, p] += share * py
+    return 1.0 if wave[0, 1] * wave[1, 2] - wave[0, 2] * wave[1, 1] > 0.0 else -1.0
 
 
 @compiled
 def _along(
-    image: Image, x: float, y: float, nx: float, ny: float, offsets: Array, place: NDArray[np.int32],
+    image: Image, x: float, y: float, nx: float, ny: float, offsets: NDArray[np.float32], place: NDArray[np.int32],
     scratch: NDArray[np.float32], grey: NDArray[np.float32],
 ) -> None:  # fmt: skip
     """Bilinear grey values at (x, y) + offsets * n; in three loops, of which two run eight at a time."""
@@ -365,8 +440,7 @@ def _along(
     x0, y0, dx, dy = np.float32(x), np.float32(y), np.float32(nx), np.float32(ny)
     fx, fy, p, q, r, s = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5]
     for j in range(SAMPLES):
-        u = np.float32(offsets[j])
-        xs, ys = x0 + u * dx, y0 + u * dy
+        xs, ys = x0 + offsets[j] * dx, y0 + offsets[j] * dy
         ix, iy = np.int32(xs), np.int32(ys)
         fx[j], fy[j] = xs - np.float32(ix), ys - np.float32(iy)
         place[j] = iy * width + ix
@@ -380,152 +454,156 @@ def _along(
 
 
 @compiled
-def _levels_of(
-    dots: NDArray[np.float32], valid: NDArray[np.bool_], which: NDArray[np.int64], M: Array, out: Array
-) -> None:
-    """Levels, height of the edge and strength of each tube, into `out`, which is laid out as `Rims`."""
-    count = dots.shape[1]
-    work = np.empty(count)
-    for row in range(which.shape[0]):
-        i, o = which[row], out[row]
-        o[:] = 0.0
-        o[8] = -1.0
-        seen = 0
-        for k in range(count):
-            seen += valid[i, k]
-        if seen < LEAST_RAYS:
-            continue
-        o[6], o[7], o[5], spread = _levels(dots[i], valid[i], M, work)
-        o[8] = o[5] * math.sqrt(seen) / (spread + 1e-6)
-        o[9] = seen / count
+def _condense(grey: NDArray[np.float32], functionals: NDArray[np.float32], dots: NDArray[np.float32]) -> None:
+    """A ray's eight numbers, see `Seen`; each sum runs over the samples of its window only."""
+    e0, e1, e2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    f0, f1, f2 = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for j in range(EDGE_FROM, EDGE_TO):
+        e0 += functionals[0, j] * grey[j]
+        e1 += functionals[1, j] * grey[j]
+        e2 += functionals[2, j] * grey[j]
+    for j in range(FOOT_TO):
+        f0 += functionals[3, j] * grey[j]
+        f1 += functionals[4, j] * grey[j]
+        f2 += functionals[5, j] * grey[j]
+    dots[0], dots[1], dots[2], dots[3], dots[4], dots[5] = e0, e1, e2, f0, f1, f2
+    dots[6] = (grey[0] + grey[1] + grey[2]) / np.float32(INNER)
+    dots[7] = (grey[SAMPLES - 2] + grey[SAMPLES - 1]) / np.float32(2.0)
 
 
 @compiled
-def _light_slopes(center: Array, aspect: float, out: Array, reach: float, slope: Array) -> None:
-    """How the light falls off at each tube, (n, 2) per px: slope of the logarithm of its neighbours' edges' height.
+def _levels_of(dots: NDArray[np.float32], valid: NDArray[np.bool_], M: Array, out: Array) -> None:
+    """Levels, height of the edge and strength of each tube, into `out`: the columns are those of `Rims`.
 
-    A plane through the neighbours, drawn towards level light; one reweighting sets stained tubes aside.
+    They are shift x, y; covariance xx, xy, yy; gain, bore, outside, strength, rays, radius.
+    """
+    count = dots.shape[1]
+    work = np.empty(count)
+    edge = M[1, 1] * M[2, 2] - M[1, 2] * M[1, 2]
+    for i in range(dots.shape[0]):
+        o = out[i]
+        o[8] = -1.0
+        n = 0
+        for k in range(count):
+            if valid[i, k]:
+                work[n] = dots[i, k, 6]
+                n += 1
+        if n < LEAST_RAYS:
+            continue
+        bore, _ = clipped_mean(work, n)
+        n = 0
+        for k in range(count):
+            if valid[i, k]:
+                work[n] = dots[i, k, 7]
+                n += 1
+        outside, _ = clipped_mean(work, n)
+        n = 0
+        for k in range(count):
+            if valid[i, k]:
+                b, c = dots[i, k, 1] - bore * M[0, 1], dots[i, k, 2] - bore * M[0, 2]
+                work[n] = (b * M[2, 2] - c * M[1, 2]) / edge
+                n += 1
+        gain, stray = clipped_mean(work, n)
+        o[5], o[6], o[7] = gain, bore, outside
+        o[8] = gain * math.sqrt(n) / (1.25 * stray + 1e-6)
+        o[9] = n / count
+
+
+@compiled
+def _light_slopes(center: Array, aspect: float, out: Array, reach: float, radius: float, slope: Array) -> None:
+    """How the light changes from each tube's centre to its rim: slope of the logarithm of its neighbours' gains.
+
+    A plane through the neighbours, drawn towards level light; one reweighting sets stained tubes aside. Tubes are
+    looked up in square cells as wide as the reach.
     """
     n = center.shape[0]
-    for row in range(n):
-        if out[row, 8] < SLOPE_STRENGTH:
+    tells = np.empty(n, np.bool_)
+    log = np.empty(n)
+    right, bottom = 0.0, 0.0
+    for i in range(n):
+        tells[i] = out[i, 8] >= SLOPE_STRENGTH and center[i, 0] > -reach and center[i, 1] > -reach
+        if tells[i]:
+            log[i] = math.log(out[i, 5])
+            right, bottom = max(right, center[i, 0]), max(bottom, center[i, 1] * aspect)
+    across, down = int(right / reach) + 4, int(bottom / reach) + 4
+    first, next_one = np.full(across * down, -1, np.int64), np.empty(n, np.int64)
+    for i in range(n):
+        if tells[i]:
+            cell = (int(center[i, 1] * aspect / reach + 1.0) + 1) * across + int(center[i, 0] / reach + 1.0) + 1
+            next_one[i] = first[cell]
+            first[cell] = i
+    for i in range(n):
+        if not tells[i]:
             continue
-        x0, y0 = center[row, 0], center[row, 1] * aspect
-        a, bx, by = math.log(out[row, 5]), 0.0, 0.0
-        for step in range(3):
+        x0, y0 = center[i, 0], center[i, 1] * aspect
+        cx, cy = int(x0 / reach + 1.0) + 1, int(y0 / reach + 1.0) + 1
+        a, bx, by = log[i], 0.0, 0.0
+        for step in range(2):
             s0, sx, sy, sxx, sxy, syy, t0, tx, ty = 0.0, 0.0, 0.0, SLOPE_PRIOR, 0.0, SLOPE_PRIOR, 0.0, 0.0, 0.0
-            for other in range(n):
-                if out[other, 8] < SLOPE_STRENGTH:
-                    continue
-                dx, dy = (center[other, 0] - x0) / reach, (center[other, 1] * aspect - y0) / reach
-                d2 = dx * dx + dy * dy
-                if d2 >= 1.0:
-                    continue
-                z = math.log(out[other, 5])
-                w = (1.0 - d2) ** 2
-                if step > 0:
-                    r = (z - a - bx * dx - by * dy) / SLOPE_STRAY
-                    if r * r >= 1.0:
+            for row in range(cy - 1, cy + 2):
+                for col in range(cx - 1, cx + 2):
+                    if row < 0 or col < 0 or row >= down or col >= across:
                         continue
-                    w *= (1.0 - r * r) ** 2
-                s0 += w
-                sx += w * dx
-                sy += w * dy
-                sxx += w * dx * dx
-                sxy += w * dx * dy
-                syy += w * dy * dy
-                t0 += w * z
-                tx += w * z * dx
-                ty += w * z * dy
+                    j = first[row * across + col]
+                    while j >= 0:
+                        dx, dy = (center[j, 0] - x0) / reach, (center[j, 1] * aspect - y0) / reach
+                        d2 = dx * dx + dy * dy
+                        z = log[j]
+                        r = (z - a - bx * dx - by * dy) / SLOPE_STRAY if step else 0.0
+                        if d2 < 1.0 and r * r < 1.0:
+                            w = ((1.0 - d2) * (1.0 - r * r)) ** 2
+                            s0 += w
+                            sx += w * dx
+                            sy += w * dy
+                            sxx += w * dx * dx
+                            sxy += w * dx * dy
+                            syy += w * dy * dy
+                            t0 += w * z
+                            tx += w * z * dx
+                            ty += w * z * dy
+                        j = next_one[j]
             if s0 < 2.0:
                 bx, by = 0.0, 0.0
                 break
-            cxx, cxy, cyy = sxx - sx * sx / s0, sxy - sx * sy / s0, syy - sy * sy / s0
+            vxx, vxy, vyy = sxx - sx * sx / s0, sxy - sx * sy / s0, syy - sy * sy / s0
             ux, uy = tx - sx * t0 / s0, ty - sy * t0 / s0
-            det = cxx * cyy - cxy * cxy
-            bx, by = (cyy * ux - cxy * uy) / det, (cxx * uy - cxy * ux) / det
+            det = vxx * vyy - vxy * vxy
+            bx, by = (vyy * ux - vxy * uy) / det, (vxx * uy - vxy * ux) / det
             a = (t0 - bx * sx - by * sy) / s0
-        slope[row, 0], slope[row, 1] = bx / reach, by / reach
+        slope[i, 0], slope[i, 1] = bx * radius / reach, by * radius / reach
 
 
 @compiled
 def _solve(
-    dots: NDArray[np.float32], normal: Array, valid: NDArray[np.bool_], which: NDArray[np.int64], M: Array, Q: Array,
-    gain_prior: float, slope: Array, aspect: float, radius_sigma: float, reach: float, out: Array,
+    dots: NDArray[np.float32], normal: Array, valid: NDArray[np.bool_], which: NDArray[np.int64], base: int, M: Array,
+    Q: Array, gain_prior: float, slope: Array, aspect: float, radius_sigma: float, reach: float, out: Array,
 ) -> None:  # fmt: skip
-    """Shift, radius and covariance of each tube from its rays, into `out`, which holds the levels already.
+    """Shift, radius and covariance of the tubes `which` from their rays, into `out`, which holds the levels already.
 
-    Parameters
-    ----------
-    dots
-        (n, rays, 5) of each ray's grey values with 1, T, -T' under the window, and its mean level inside and outside.
-    M, Q
-        (3, 3) normal matrix of the basis (1, T, -T') under the window, and its inverse with the priors added: a ray's
-        offset, gain, and gain times shift.
-    slope
-        (len(which), 2) relative change of the light from a tube's centre to its rim, along x and y.
+    `base` is where the window's three dots stand; see `Seen` and `Window`.
     """
     count = dots.shape[1]
     work, shift, weight = np.empty(count), np.empty(count), np.empty(count)
     for row in range(which.shape[0]):
         i, o = which[row], out[row]
-        if o[5] <= 0.0 or o[9] == 0.0:
+        gain, bore = o[5], o[6]
+        if gain <= 0.0 or o[9] == 0.0:
             continue
-        _ray_shifts(
-            dots[i], normal[i], valid[i], M, Q, o[6], o[5], gain_prior, slope[row], aspect, reach, shift, weight
-        )
+        for k in range(count):  # each ray's shift; brighter rays count more, up to a limit
+            weight[k] = 0.0
+            if not valid[i, k]:
+                continue
+            expected = gain * max(1.0 + slope[i, 0] * normal[i, k, 0] + slope[i, 1] * normal[i, k, 1] / aspect, 0.3)
+            a = dots[i, k, base] - bore * M[0, 0]
+            b = dots[i, k, base + 1] - bore * M[0, 1] + gain_prior * M[1, 1] * expected
+            c = dots[i, k, base + 2] - bore * M[0, 2]
+            g = Q[1, 0] * a + Q[1, 1] * b + Q[1, 2] * c
+            gs = Q[2, 0] * a + Q[2, 1] * b + Q[2, 2] * c
+            if g > LEAST_GAIN * gain and abs(gs) < reach * g:
+                shift[k] = gs / g
+                weight[k] = min(g / gain, 1.5) ** 2
         if not _circle_fit(normal[i], shift, weight, radius_sigma, work, o):
             o[8] = -1.0
-
-
-@compiled
-def _levels(
-    dots: NDArray[np.float32], valid: NDArray[np.bool_], M: Array, work: Array
-) -> tuple[float, float, float, float]:
-    """One tube's level in the bore, at the rays' outer ends, height of its edge, and the rays' spread about that."""
-    bore, outside, gain, spread = 0.0, 0.0, 0.0, 0.0
-    edge = M[1, 1] * M[2, 2] - M[1, 2] * M[1, 2]
-    for what in range(3):
-        n = 0
-        for k in range(dots.shape[0]):
-            if valid[k]:
-                if what == 0:
-                    work[n] = dots[k, 3]
-                elif what == 1:
-                    work[n] = dots[k, 4]
-                else:
-                    b, c = dots[k, 1] - bore * M[0, 1], dots[k, 2] - bore * M[0, 2]
-                    work[n] = (b * M[2, 2] - c * M[1, 2]) / edge
-                n += 1
-        level, stray = clipped_mean(work, n)
-        if what == 0:
-            bore = level
-        elif what == 1:
-            outside = level
-        else:
-            gain, spread = level, 1.25 * stray
-    return bore, outside, gain, spread
-
-
-@compiled
-def _ray_shifts(
-    dots: NDArray[np.float32], normal: Array, valid: NDArray[np.bool_], M: Array, Q: Array, bore: float, gain: float,
-    gain_prior: float, slope: Array, aspect: float, reach: float, shift: Array, weight: Array,
-) -> None:  # fmt: skip
-    """Each ray's shift (px) and its weight, 0 where it shows no edge; brighter rays count more, up to a limit."""
-    for k in range(dots.shape[0]):
-        weight[k] = 0.0
-        if not valid[k]:
-            continue
-        expected = gain * max(1.0 + slope[0] * normal[k, 0] + slope[1] * normal[k, 1] / aspect, 0.3)
-        a = dots[k, 0] - bore * M[0, 0]
-        b = dots[k, 1] - bore * M[0, 1] + gain_prior * M[1, 1] * expected
-        c = dots[k, 2] - bore * M[0, 2]
-        g = Q[1, 0] * a + Q[1, 1] * b + Q[1, 2] * c
-        gs = Q[2, 0] * a + Q[2, 1] * b + Q[2, 2] * c
-        if g > LEAST_GAIN * gain and abs(gs) < reach * g:
-            shift[k] = gs / g
-            weight[k] = min(g / gain, 1.5) ** 2
 
 
 @compiled
@@ -589,7 +667,7 @@ def _circle_fit(normal: Array, shift: Array, weight: Array, radius_sigma: float,
     return True
 
 
-def profile_of(samples: RimSamples, rims: Rims) -> EdgeProfile | None:
+def profile_of(rims: Rims) -> EdgeProfile | None:
     """The mean edge of the clearest tubes, placed and scaled anew; None where too few show one."""
     clear = np.flatnonzero((rims.strength > 20) & (rims.rays > 0.6))
     if len(clear) < 4:
@@ -597,18 +675,29 @@ def profile_of(samples: RimSamples, rims: Rims) -> EdgeProfile | None:
         clear = clear[rims.strength[clear] > 5]
     if len(clear) < 4:
         return None
-    mean = np.empty((len(clear), SAMPLES))
-    mean_profiles(samples.grey, samples.valid, clear, mean)
-    profile = np.median((mean - rims.bore[clear, None]) / rims.gain[clear, None], axis=0)
-    profile -= profile @ INSIDE
-    top = float(profile[: np.searchsorted(GRID, 1.9)].max())
+    profile = _median_profile(rims.seen.mean, rims.bore.copy(), rims.gain.copy(), clear)
+    profile -= profile[:INNER].mean()
+    top = float(profile[:TOP].max())
     foot, half = _crossing(profile, 0.16 * top), _crossing(profile, 0.5 * top)
     if foot is None or half is None or half <= foot:
         return None
-    offsets = samples.profile.offsets_px
+    offsets = rims.seen.profile.offsets_px
     position = float(np.interp(half, np.arange(SAMPLES), offsets))
-    width = float(np.clip(position - np.interp(foot, np.arange(SAMPLES), offsets), *WIDTH_LIMITS_PX))
+    width = float(position - np.interp(foot, np.arange(SAMPLES), offsets))
+    width = min(max(width, WIDTH_LIMITS_PX[0]), WIDTH_LIMITS_PX[1])
     return EdgeProfile(position, width, np.interp(position + width * GRID, offsets, profile / top))
+
+
+@compiled
+def _median_profile(mean: Array, bore: Array, gain: Array, clear: NDArray[np.int64]) -> Array:
+    """Median over tubes of their mean profiles, each from 0 in the bore to 1."""
+    profile, work = np.empty(mean.shape[1]), np.empty(clear.shape[0])
+    for j in range(mean.shape[1]):
+        for k in range(clear.shape[0]):
+            i = clear[k]
+            work[k] = (mean[i, j] - bore[i]) / gain[i]
+        profile[j] = median_in_place(work, clear.shape[0])
+    return profile
 
 
 def _crossing(profile: Array, level: float) -> float | None:
@@ -617,18 +706,3 @@ def _crossing(profile: Array, level: float) -> float | None:
     if k == 0:
         return None
     return k - 1 + float((level - profile[k - 1]) / (profile[k] - profile[k - 1]))
-
-
-@compiled
-def mean_profiles(grey: NDArray[np.float32], valid: NDArray[np.bool_], which: NDArray[np.int64], mean: Array) -> None:
-    """Average the rays of the tubes `which` into `mean`, (len(which), SAMPLES)."""
-    for j in range(which.shape[0]):
-        i, c = which[j], 0
-        mean[j] = 0.0
-        for k in range(grey.shape[1]):
-            if valid[i, k]:
-                c += 1
-                for s in range(grey.shape[2]):
-                    mean[j, s] += grey[i, k, s]
-        for s in range(grey.shape[2]):
-            mean[j, s] /= max(c, 1)

@@ -8,12 +8,11 @@ import numpy as np
 
 from service.vision.compiled import compiled
 from service.vision.measurement import TubeState
-from service.vision.rims import mean_profiles
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from service.vision.rims import Rims, RimSamples
+    from service.vision.rims import Rims
     from service.vision.sites import Sites
 
     Array: TypeAlias = NDArray[np.float64]
@@ -30,16 +29,15 @@ RELIEF = 0.22
 """A plug shows its rim, bare plate does not: height of the mean profile over the neighbours' edges."""
 
 
-def tube_states(sites: Sites, samples: RimSamples, rims: Rims, used: NDArray[np.bool_]) -> NDArray[np.uint8]:
+def tube_states(sites: Sites, rims: Rims, used: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """State of each place, (n,) uint8 of `TubeState`; UNKNOWN where it is too dark or covered to tell."""
     state = np.where(used, TubeState.OPEN, TubeState.UNKNOWN).astype(np.uint8)
-    rest = np.flatnonzero(~used & samples.valid.any(axis=1))
+    rest = np.flatnonzero(~used & (rims.rays > 0))
     if not len(rest) or not used.any():
         return state
     gain, bore = np.empty(len(rest)), np.empty(len(rest))
-    _neighbours(sites.row, sites.column, used, rims.gain, rims.bore, rest, gain, bore)
-    mean = np.empty((len(rest), samples.grey.shape[2]))
-    mean_profiles(samples.grey, samples.valid, rest, mean)
+    _neighbours(sites.row, sites.column, used, rims.gain.copy(), rims.bore.copy(), rest, gain, bore)
+    mean = rims.seen.mean[rest]
     height = np.where(gain > 0, gain, np.inf)
     inside = (rims.bore[rest] - bore) / height
     step = (rims.outside[rest] - rims.bore[rest]) / height

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from service.vision.compiled import compiled, median_in_place, median_of
 from service.vision.pose import TUKEY
 from service.vision.rims import solve_feet
 
@@ -14,7 +16,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from service.vision.pose import Fit
-    from service.vision.rims import Rims, RimSamples
+    from service.vision.rims import Rims
 
     Array: TypeAlias = NDArray[np.float64]
 
@@ -22,6 +24,9 @@ __all__ = ["EdgeBias", "Misfit", "edge_bias", "smooth_misfit"]
 
 BIAS_STRENGTH = 6.0
 BIAS_TUBES = 8
+BIAS_RAYS = 0.5
+MOST_FEET = 120
+"""So many tubes' feet tell what there is to be told."""
 BIAS_PRIOR = np.array([0.35, 0.35, 3.0, 0.07])
 """One sigma of the common shift (x, y mm), of the edges' apparent depth (mm) and of the light's part before a picture
 says anything."""
@@ -64,33 +69,61 @@ class EdgeBias:
         return np.asarray(np.einsum("nij,jk,nik->n", B, self.covariance[:3, :3], B) / 2, np.float64)
 
 
-def edge_bias(samples: RimSamples, rims: Rims, used: NDArray[np.bool_], place: Array) -> EdgeBias:
+def edge_bias(rims: Rims, used: NDArray[np.bool_], place: Array) -> EdgeBias:
     """What the edges have in common, as the difference between whole edges and their feet on the clearest tubes."""
-    scale = float(np.median(np.linalg.norm(place[used, 0, :2], axis=1)))
+    scale = median_of(np.hypot(place[used, 0, 0], place[used, 0, 1]))
     units = np.array([scale, scale, 1.0, 1.0])
-    prior = np.diag((BIAS_PRIOR * units) ** -2.0)
-    noise_px = float(np.median(np.sqrt((rims.covariance_px[used, 0] + rims.covariance_px[used, 2]) / 2)))
+    prior = (BIAS_PRIOR * units) ** -2.0
+    noise_px = median_of(np.sqrt((rims.covariance_px[used, 0] + rims.covariance_px[used, 2]) / 2))
     rest = BIAS_FLOOR + BIAS_NOISE * np.array([1.0, 1.0, 1.0, scale]) * (noise_px / scale)
     floor = np.diag((rest * units) ** 2)
     which = np.flatnonzero(used)
-    feet = solve_feet(samples, which)
-    good = (feet.strength > BIAS_STRENGTH) & (feet.rays > 0.5)
+    which = which[:: len(which) // MOST_FEET + 1]
+    shift, covariance, quality = solve_feet(rims, which)
+    good = (quality[:, 0] > BIAS_STRENGTH) & (quality[:, 1] > BIAS_RAYS)
     if good.sum() < BIAS_TUBES:
-        return EdgeBias(np.zeros(2), 0.0, 0.0, np.asarray(np.linalg.inv(prior) + floor, np.float64))
+        return EdgeBias(np.zeros(2), 0.0, 0.0, np.diag(1.0 / prior) + floor)
     which = which[good]
-    difference = (rims.shift_px[which] - feet.shift_px[good]).ravel()
-    A = np.zeros((2 * len(which), 4))
-    A[0::2, 0] = A[1::2, 1] = 1.0
-    A[:, 2], A[:, 3] = place[which, :, 2].ravel(), rims.light_px[which].ravel()
-    information = np.repeat(1.0 / (feet.covariance_px[good, 0] + feet.covariance_px[good, 2]), 2)
-    weight, b, N = information.copy(), np.zeros(4), prior
-    for _ in range(5):
-        N = (A.T * weight) @ A + prior
-        b = np.linalg.solve(N, (A.T * weight) @ difference)
-        stray = np.abs(difference - A @ b) * np.sqrt(information)
-        spread = max(1.4826 * float(np.median(stray)), 0.3)
-        weight = information / spread**2 * np.clip(1 - (stray / (TUKEY * spread)) ** 2, 0.0, None) ** 2
+    b, N = _common(
+        rims.shift_px[which] - shift[good], place[which, :, 2], rims.light_px[which],
+        1.0 / (covariance[good, 0] + covariance[good, 2]), prior,
+    )  # fmt: skip
     return EdgeBias(b[:2], float(b[2]), float(b[3]), np.asarray(np.linalg.inv(N) + floor, np.float64))
+
+
+@compiled
+def _common(difference: Array, depth: Array, light: Array, information: Array, prior: Array) -> tuple[Array, Array]:
+    """Fit ``difference = shift + depth * b2 + light * b3`` by Tukey's biweight; b (4,) and its information (4, 4)."""
+    n = difference.shape[0]
+    b = np.zeros(4)
+    N, row = np.zeros((4, 4)), np.zeros(4)
+    stray = np.empty(2 * n)
+    spread = math.inf
+    for _ in range(5):
+        N[:] = np.diag(prior)
+        y = np.zeros(4)
+        for i in range(n):
+            for axis in range(2):
+                row[0], row[1] = 1.0 - axis, 1.0 * axis
+                row[2], row[3] = depth[i, axis], light[i, axis]
+                r = (difference[i, axis] - row @ b) * math.sqrt(information[i]) / (TUKEY * spread)
+                if r * r >= 1.0:
+                    continue
+                w = information[i] * (1.0 - r * r) ** 2
+                if spread < math.inf:
+                    w /= spread * spread
+                for p in range(4):
+                    y[p] += w * row[p] * difference[i, axis]
+                    for q in range(4):
+                        N[p, q] += w * row[p] * row[q]
+        b[:] = np.linalg.solve(N, y)
+        for i in range(n):
+            for axis in range(2):
+                row[0], row[1] = 1.0 - axis, 1.0 * axis
+                row[2], row[3] = depth[i, axis], light[i, axis]
+                stray[2 * i + axis] = abs(difference[i, axis] - row @ b) * math.sqrt(information[i])
+        spread = max(1.4826 * median_in_place(stray, 2 * n), 0.3)
+    return b, N
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,7 +133,7 @@ class Misfit:
     Attributes
     ----------
     sigma_px
-        One sigma of the coefficient of each smooth field (`_fields`).
+        One sigma of the coefficient of each smooth field: second-order polynomials over half the picture.
     covariance
         (6 + k, 6 + k): what such fields do to the solution, which takes up its share of them unseen.
     variance_px2
@@ -127,33 +160,57 @@ def smooth_misfit(fit: Fit, center_px: Array, size_px: tuple[int, int], everywhe
     everywhere_px
         (m, 2) centres whose `variance_px2` is asked for.
     """
-    fields = _fields(center_px, size_px)
-    xx, xy, yy = fit.information.T * fit.weight
-    W = np.stack([np.stack([xx, xy], -1), np.stack([xy, yy], -1)], -2)
-    J, scale = fit.gradient, max(1.0, fit.scatter_factor**2)
-    WF, WJ = np.einsum("nij,njm->nim", W, fields), np.einsum("nij,njp->nip", W, J)
-    cross = np.einsum("nip,nim->pm", WJ, fields)
-    response = fit.covariance / scale @ cross
-    seen = np.einsum("nim,nik->mk", WF, fields) - cross.T @ response
-    pull = np.einsum("nim,ni->m", WF, fit.residual_px)
+    scale = max(1.0, fit.scatter_factor**2)
+    seen, cross, pull = _smooth_sums(
+        center_px, size_px[0], size_px[1], fit.information, fit.weight, fit.residual_px, fit.gradient
+    )
+    response = fit.covariance @ cross / scale
+    seen -= cross.T @ response
     eigen, vectors = np.linalg.eigh(seen)
     clear = eigen > UNSEEN * eigen[-1]
     explained = float(np.sum((vectors.T @ pull)[clear] ** 2 / eigen[clear])) / scale
-    excess = (explained - float(clear.sum())) / float(eigen[clear].sum()) * scale
-    variance = max(excess, 0.0)
-    everywhere = _fields(everywhere_px, size_px)
-    return Misfit(
-        variance**0.5,
-        np.asarray(variance * response @ response.T, np.float64),
-        variance * np.einsum("nim,nim->n", everywhere, everywhere) / 2,
-    )
+    variance = max(0.0, (explained - float(clear.sum())) / float(eigen[clear].sum()) * scale)
+    x, y = _centred(everywhere_px, size_px)
+    here = variance * (1.0 + x * x + y * y + x**4 + (x * y) ** 2 + y**4)  # the fields' squares, summed
+    return Misfit(variance**0.5, np.asarray(variance * response @ response.T, np.float64), here)
 
 
-def _fields(center_px: Array, size_px: tuple[int, int]) -> Array:
-    """Smooth fields at picture points, (n, 2, 12): second-order polynomials along x, then along y."""
+def _centred(points_px: Array, size_px: tuple[int, int]) -> tuple[Array, Array]:
+    """Picture points in half widths and half heights from the middle."""
     w, h = size_px
-    x, y = (center_px[:, 0] - 0.5 * w) / (0.5 * w), (center_px[:, 1] - 0.5 * h) / (0.5 * h)
-    terms = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
-    out = np.zeros((len(x), 2, 12))
-    out[:, 0, :6] = out[:, 1, 6:] = terms
-    return out
+    return (points_px[:, 0] - 0.5 * w) / (0.5 * w), (points_px[:, 1] - 0.5 * h) / (0.5 * h)
+
+
+@compiled
+def _smooth_sums(
+    center: Array, width: int, height: int, information: Array, weight: Array, residual: Array, gradient: Array
+) -> tuple[Array, Array, Array]:
+    """Normal equations of the smooth fields, (12, 12); theirs with the solution's unknowns; and with the residuals.
+
+    The fields are the polynomials of second order along x, then those along y.
+    """
+    m = gradient.shape[2]
+    seen, cross, pull, f = np.zeros((12, 12)), np.zeros((m, 12)), np.zeros(12), np.empty(6)
+    for i in range(center.shape[0]):
+        if weight[i] <= 0.0:
+            continue
+        x, y = (center[i, 0] - 0.5 * width) / (0.5 * width), (center[i, 1] - 0.5 * height) / (0.5 * height)
+        f[0], f[1], f[2], f[3], f[4], f[5] = 1.0, x, y, x * x, x * y, y * y
+        xx, xy, yy = weight[i] * information[i, 0], weight[i] * information[i, 1], weight[i] * information[i, 2]
+        px, py = xx * residual[i, 0] + xy * residual[i, 1], xy * residual[i, 0] + yy * residual[i, 1]
+        for p in range(6):
+            pull[p] += f[p] * px
+            pull[6 + p] += f[p] * py
+            for q in range(6):
+                g = f[p] * f[q]
+                seen[p, q] += g * xx
+                seen[p, 6 + q] += g * xy
+                seen[6 + p, q] += g * xy
+                seen[6 + p, 6 + q] += g * yy
+        for k in range(m):
+            jx = gradient[i, 0, k] * xx + gradient[i, 1, k] * xy
+            jy = gradient[i, 0, k] * xy + gradient[i, 1, k] * yy
+            for p in range(6):
+                cross[k, p] += jx * f[p]
+                cross[k, 6 + p] += jy * f[p]
+    return seen, cross, pull
