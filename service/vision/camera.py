@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -120,6 +121,7 @@ def lens_vector(
     return np.array([fx, fy, *center_px, TSAI, k, 0.0, 0.0, 0.0, 0.0, fold])
 
 
+@lru_cache(maxsize=256)
 def _first_fold(k1: float, k2: float, k3: float) -> float:
     """Smallest q = r_u**2 where d r_d / d r_u = 1 + 3 k1 q + 5 k2 q**2 + 7 k3 q**3 vanishes."""
     roots = np.roots(np.trim_zeros(np.array([7 * k3, 5 * k2, 3 * k1, 1.0]), "f"))
