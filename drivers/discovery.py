@@ -9,56 +9,33 @@ from typing import TYPE_CHECKING
 
 from serial.tools import list_ports
 
+from drivers.v4l2.description import VideoDevice, video_devices
+
 if TYPE_CHECKING:
     from serial.tools.list_ports_common import ListPortInfo
 
-__all__ = ["Device", "serial_ports", "video_devices"]
+__all__ = ["Device", "VideoDevice", "serial_ports", "video_devices"]
 
-VIDEO_CLASS = Path("/sys/class/video4linux")
 SERIAL_LINKS = Path("/dev/serial")
 
 
 @dataclass(frozen=True, slots=True)
 class Device:
-    """A device that the system shows.
+    """A serial port that the system shows.
 
     Attributes
     ----------
     node
-        Where it is now, such as /dev/video0. Another one after a replug.
+        Where it is now, such as /dev/ttyUSB0. Another one after a replug.
     name
         What it calls itself.
     identity
-        ``usb:VID:PID:SERIAL``, or ``usb:VID:PID@PORT`` where it has no serial number; where it is no USB device, the
-        path of its hardware in the system's tree. Of a serial port: the link below /dev/serial that leads to it.
+        The link below /dev/serial that leads to it; where there is none ``usb:VID:PID:SERIAL`` or ``usb:VID:PID@PORT``.
     """
 
     node: str
     name: str
     identity: str
-
-
-def video_devices(video_class: Path = VIDEO_CLASS) -> list[Device]:
-    """Video nodes of the kernel, in the order of their numbers. Some devices have several, not all for capture."""
-    nodes = sorted(video_class.glob("video*"), key=lambda p: (len(p.name), p.name))
-    return [Device(f"/dev/{node.name}", _read(node / "name") or node.name, _identity(node)) for node in nodes]
-
-
-def _identity(node: Path) -> str:
-    hardware = (node / "device").resolve()
-    for folder in (hardware, *hardware.parents):
-        if vendor := _read(folder / "idVendor"):
-            number = _read(folder / "serial")
-            model = f"usb:{vendor}:{_read(folder / 'idProduct')}"
-            return f"{model}:{number}" if number else f"{model}@{folder.name}"
-    return str(hardware)
-
-
-def _read(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8", errors="replace").strip()
-    except OSError:
-        return ""
 
 
 def serial_ports(links: Path = SERIAL_LINKS) -> list[Device]:

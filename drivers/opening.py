@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import logging
 import math
 import re
 from pathlib import Path
@@ -17,13 +18,21 @@ from drivers.replay import ReplayGrabber
 from drivers.scene import GENERATORS, LOOKS
 from drivers.simulated import SimulatedGrabber
 from drivers.simulation import default_scene
+from drivers.v4l2.encodings import ENCODINGS
+from drivers.v4l2.grabber import V4l2Grabber
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Collection, Mapping
 
 __all__ = ["open_grabber"]
 
-SOURCES = "a video, a folder of pictures, a picture, or simulated[:GENERATOR][?key=value&...]"
+log = logging.getLogger(__name__)
+
+SOURCES = (
+    "a video, a folder of pictures, a picture, v4l2:DEVICE[?key=value&...] or simulated[:GENERATOR][?key=value&...];"
+    " bowlsight devices lists what is there"
+)
+NODE = re.compile(r"/dev/video\d+")
 USUAL_GENERATOR = "system80"
 
 
@@ -42,11 +51,12 @@ def open_grabber(
     Parameters
     ----------
     source
-        Path of a video, a folder of pictures or a picture; or ``simulated``, or ``simulated:delta60`` for another
-        steam generator, or with any of these values ``simulated?seed=0&size=640x480&rate_hz=25&bits=8&interlaced=no``
-        ``&look=nominal&loop_frames=48&pitch_px=40``.
+        Path of a video, a folder of pictures or a picture; or a capture device by its identity, or by its node,
+        ``v4l2:usb-534d:2109-A1``, with any of ``?size=640x480&encoding=YUYV&rate_hz=25&fields=alternate&buffers=8``
+        ``&newest=no``; or ``simulated``, or ``simulated:delta60`` for another steam generator, with any of
+        ``?seed=0&size=640x480&rate_hz=25&bits=8&interlaced=no&look=nominal&loop_frames=48&pitch_px=40``.
     speed
-        1.0 is the source's own pace; infinity is as fast as it is read.
+        1.0 is the source's own pace; infinity is as fast as it is read. A device has its own.
     loop, rate_hz, top_first
         For recordings, see `ReplayGrabber`.
     field_mode
@@ -62,6 +72,8 @@ def open_grabber(
         A value in the source's name is unknown or impossible.
     """
     kind, _, query = source.partition("?")
+    if kind.startswith("v4l2:") or NODE.fullmatch(kind):
+        return _device(source, kind.removeprefix("v4l2:"), query, field_mode=field_mode, clock=clock)
     if kind == "simulated" or kind.startswith("simulated:"):
         generator = kind.partition(":")[2] or USUAL_GENERATOR
         return _simulated(source, generator, query, speed=speed, field_mode=field_mode, clock=clock)
@@ -76,7 +88,7 @@ def _simulated(
     source: str, generator: str, query: str, *, speed: float, field_mode: FieldMode, clock: Clock | None
 ) -> SimulatedGrabber:
     lattice = _known(source, "steam generator", generator, GENERATORS)
-    values = _values(source, query)
+    values = _values(source, query, _SIMULATED)
     loop_frames: int = values.pop("loop_frames", 48)
     values["look"] = _known(source, "look", values.get("look", "nominal"), LOOKS)
     rng = np.random.default_rng(values.pop("seed", 0))
@@ -86,11 +98,20 @@ def _simulated(
     )
 
 
-def _values(source: str, query: str) -> dict[str, Any]:
-    """The arguments of `default_scene`, and `seed` and `loop_frames`."""
+def _device(source: str, device: str, query: str, *, field_mode: FieldMode, clock: Clock | None) -> V4l2Grabber:
+    if not re.fullmatch(r"(usb|path)-.+|/.+", device):
+        raise ConfigError(f"{source}: no device has such a name; bowlsight devices lists those that are there")
+    if NODE.fullmatch(device):
+        log.warning("%s may be another device after a replug; bowlsight devices tells its lasting name", device)
+    values = {"field_mode": field_mode} | _values(source, query, _DEVICE)
+    return V4l2Grabber(device, name=source, clock=clock, **values)
+
+
+def _values(source: str, query: str, keys: Mapping[str, tuple[str, Callable[[str], Any]]]) -> dict[str, Any]:
+    """Arguments by their names, converted."""
     values = {}
     for key, text in parse_qsl(query, keep_blank_values=True):
-        argument, convert = _known(source, "key", key, _KEYS)
+        argument, convert = _known(source, "key", key, keys)
         try:
             values[argument] = convert(text)
         except ValueError as error:
@@ -144,7 +165,16 @@ def _bits(text: str) -> int:
     return int(text)
 
 
-_KEYS: dict[str, tuple[str, Callable[[str], Any]]] = {
+def _one_of(known: Collection[str]) -> Callable[[str], str]:
+    def convert(text: str) -> str:
+        if text not in known:
+            raise ValueError(f"must be one of {', '.join(known)}")
+        return text
+
+    return convert
+
+
+_SIMULATED: dict[str, tuple[str, Callable[[str], Any]]] = {
     "seed": ("seed", _whole(0, 2**62)),
     "size": ("size_px", _size),
     "rate_hz": ("rate_hz", _positive),
@@ -154,3 +184,13 @@ _KEYS: dict[str, tuple[str, Callable[[str], Any]]] = {
     "loop_frames": ("loop_frames", _whole(1, 5000)),
     "pitch_px": ("pitch_px", _positive),
 }
+"""Keys of a simulated source: the arguments of `default_scene`, and `seed` and `loop_frames`."""
+_DEVICE: dict[str, tuple[str, Callable[[str], Any]]] = {
+    "size": ("size_px", _size),
+    "encoding": ("encoding", _one_of(ENCODINGS)),
+    "rate_hz": ("rate_hz", _positive),
+    "fields": ("field_mode", lambda text: FieldMode(_one_of(list(map(str, FieldMode)))(text))),
+    "buffers": ("buffers", _whole(2, 32)),
+    "newest": ("newest", _yes_or_no),
+}
+"""Keys of a capture device: the arguments of its grabber."""

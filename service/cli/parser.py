@@ -230,7 +230,7 @@ def _simulate(p: _Parser) -> None:
 
 
 def _devices(p: _Parser) -> None:
-    del p
+    p.add_argument("--json", action="store_true", help="for programs")
 
 
 COMMANDS: dict[str, tuple[str, str, Callable[[_Parser], None]]] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from typing import TYPE_CHECKING
 
+from drivers.automatics import lock_automatics
 from drivers.grabber import Standard
 from drivers.opening import open_grabber
 from drivers.replay import ReplayGrabber
@@ -60,6 +61,8 @@ def _preparing(source: SourceSettings) -> Callable[[Grabber], None]:
             grabber.select_input(source.input)
         if source.standard is not Standard.NONE:
             grabber.set_standard(source.standard)
+        for name, off in lock_automatics(grabber, source.lock).items():
+            log.info("%s: %s is off (%g)", grabber.name, name, off)
         for name, asked in source.controls.items():
             taken = grabber.set_control(name, asked)
             if taken != asked:

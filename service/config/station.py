@@ -8,6 +8,7 @@ import re
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from drivers.automatics import AUTOMATICS
 from drivers.errors import ConfigError
 from drivers.frame import Field
 from drivers.grabber import Standard
@@ -55,6 +56,7 @@ class SourceSettings:
     device: str
     input: str | None = None
     standard: Standard = Standard.NONE
+    lock: tuple[str, ...] = ()
     controls: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -118,10 +120,18 @@ def _source(t: Table, folder: Path) -> SourceSettings:
         device=device if DEVICE_KIND.match(device) else str(folder / device),
         input=t.text("input", None),
         standard=t.choice("standard", Standard, Standard.NONE),
+        lock=_automatics(t),
         controls={name: controls.number(name) for name in controls.values},
     )
     t.finish()
     return settings
+
+
+def _automatics(t: Table) -> tuple[str, ...]:
+    names: tuple[str, ...] = t.texts("lock", ())
+    if unknown := [name for name in names if name not in AUTOMATICS]:
+        raise t.error("lock", f"{unknown[0]!r} is no automatic; known: {', '.join(AUTOMATICS)}")
+    return names
 
 
 def _generator(t: Table, folder: Path) -> SteamGenerator:

@@ -134,7 +134,7 @@ def test_run_grabs_what_the_station_says_from_any_folder(vision, capsys, tmp_pat
     monkeypatch.chdir(tmp_path)
     station = tmp_path / "s.toml"
     station.write_text(
-        '[source]\ndevice = "simulated?size=64x48&loop_frames=2&pitch_px=12"\ninput = "CH2"\n'
+        '[source]\ndevice = "simulated?size=64x48&loop_frames=2&pitch_px=12"\ninput = "CH2"\nlock = ["auto_focus"]\n'
         '[source.controls]\nbrightness = 300\n[generator]\nname = "model-f"\n'
     )
     vision.answer = lambda: [make_measurement(Lock.PARTIAL)]

@@ -98,6 +98,12 @@ def test_a_field_order_is_what_every_frame_is_taken_for(order, field):
         ("[generator]", 'inputs = "1"\n[generator]', ["source.inputs", "did you mean input?"]),
         ("[generator]", 'standard = "ntcs"\n[generator]', ["source.standard = 'ntcs'", "did you mean ntsc?"]),
         ("[generator]", '[source.controls]\ngain = "high"\n[generator]', ["source.controls.gain", "number"]),
+        (
+            "[generator]",
+            'lock = ["brightness"]\n[generator]',
+            ["source.lock", "'brightness' is no automatic", "auto_focus"],
+        ),
+        ("[generator]", 'lock = "auto_focus"\n[generator]', ["source.lock", "list of texts"]),
         ("system80", "system8", ["generator.name", "did you mean system80?"]),
         ("system80", "none.toml", ["generator.name", "no such file"]),
         ("[source]", '[camera]\nfile = "none.toml"\n[source]', ["camera.file", "no such file"]),

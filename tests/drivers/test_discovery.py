@@ -1,54 +1,8 @@
 from pathlib import Path
 from types import SimpleNamespace
 
-import pytest
-
 from drivers import discovery
-from drivers.discovery import Device, serial_ports, video_devices
-
-
-@pytest.fixture
-def machine(tmp_path):
-    """A system's device tree: a grabber on USB with two nodes, one without a serial number, a board on PCI."""
-
-    def put(path, **files):
-        folder = tmp_path / path
-        folder.mkdir(parents=True)
-        for name, text in files.items():
-            (folder / name).write_text(f"{text}\n")
-        return folder
-
-    first = put("devices/pci0/usb1/1-2", idVendor="534d", idProduct="2109", serial="A1")
-    second = put("devices/pci0/usb1/1-3", idVendor="1b80", idProduct="e302")
-    nodes = [
-        ("video10", "Board", put("devices/pci0/03.0")),
-        ("video0", "USB Video", put("devices/pci0/usb1/1-2/1-2:1.0")),
-        ("video1", "USB Video", first / "1-2:1.0"),
-        ("video2", "STK1160", put("devices/pci0/usb1/1-3/1-3:1.0")),
-    ]
-    for name, title, hardware in nodes:
-        (put(f"class/{name}", name=title) / "device").symlink_to(hardware)
-    assert second.exists()
-    return tmp_path
-
-
-def test_a_video_device_is_known_by_what_survives_a_replug(machine):
-    assert video_devices(machine / "class") == [
-        Device("/dev/video0", "USB Video", "usb:534d:2109:A1"),
-        Device("/dev/video1", "USB Video", "usb:534d:2109:A1"),
-        Device("/dev/video2", "STK1160", "usb:1b80:e302@1-3"),
-        Device("/dev/video10", "Board", str(machine / "devices/pci0/03.0")),
-    ]
-
-
-def test_a_machine_without_video_devices_has_none(tmp_path):
-    assert video_devices(tmp_path / "absent") == []
-
-
-def test_a_device_that_goes_away_while_it_is_read_keeps_its_node(tmp_path):
-    (tmp_path / "video0").mkdir()
-    ((device),) = video_devices(tmp_path)
-    assert (device.node, device.name) == ("/dev/video0", "video0")
+from drivers.discovery import Device, serial_ports
 
 
 def port(**values):

@@ -11,6 +11,8 @@ from drivers.grabber import FieldMode, GrabberState
 from drivers.opening import open_grabber
 from drivers.replay import ReplayGrabber
 from drivers.simulated import SimulatedGrabber
+from drivers.v4l2.formats import Wish
+from drivers.v4l2.grabber import V4l2Grabber
 from tests.drivers.recorded import picture, write_folder, write_video
 from tests.fakes.clock import ManualClock
 
@@ -58,6 +60,25 @@ def test_simulated_values_are_in_its_name():
         assert grabber.grab(1.0).source == source
 
 
+@pytest.mark.parametrize("source", ["v4l2:usb-534d:2109-A%2F1", "v4l2:path-platform-vivid.0#1", "/dev/video0"])
+def test_a_capture_device_is_named_by_identity_or_node_with_its_values(source):
+    asked = f"{source}?size=720x576&encoding=YUYV&rate_hz=25&fields=alternate&buffers=4&newest=yes"
+    grabber = open_grabber(asked)
+    assert isinstance(grabber, V4l2Grabber)
+    assert grabber.name == asked
+    assert grabber.state is GrabberState.CLOSED
+    assert grabber._wish == Wish((720, 576), "YUYV", 25, FieldMode.ALTERNATE)
+    assert grabber._device == source.removeprefix("v4l2:")
+    assert open_grabber(source, field_mode=FieldMode.TOP).field_mode is FieldMode.TOP
+
+
+def test_a_node_is_taken_with_a_hint_at_a_name_that_lasts(caplog):
+    open_grabber("v4l2:/dev/video3")
+    open_grabber("v4l2:usb-1:2-3")
+    ((record),) = caplog.records
+    assert record.message.startswith("/dev/video3 may be another device after a replug")
+
+
 def test_the_usual_simulation_is_the_same_each_time():
     first, second = (
         open_grabber("simulated?size=64x48&loop_frames=2", clock=ManualClock()).open().grab(1.0) for _ in range(2)
@@ -68,7 +89,15 @@ def test_the_usual_simulation_is_the_same_each_time():
 @pytest.mark.parametrize(
     ("source", "error_type", "words"),
     [
-        ("v4l2:/dev/video0", DeviceNotFoundError, "v4l2: is no kind of source; give a video"),
+        ("v4l2:", ConfigError, "no device has such a name; bowlsight devices lists"),
+        ("v4l2:1234:5678", ConfigError, "no device has such a name"),
+        ("v4l2:usb-1:2-3?size=big", ConfigError, "size = 'big': must be like 640x480"),
+        ("v4l2:usb-1:2-3?encoding=H264", ConfigError, "encoding = 'H264': must be one of GREY, NV12, YUYV"),
+        ("v4l2:usb-1:2-3?fields=both", ConfigError, "must be one of frame, alternate, top, bottom"),
+        ("v4l2:usb-1:2-3?buffers=1", ConfigError, "a whole number from 2 to 32"),
+        ("v4l2:usb-1:2-3?rate=25", ConfigError, "did you mean rate_hz"),
+        ("/dev/video0?newest=maybe", ConfigError, "must be yes or no"),
+        ("webcam:/dev/video0", DeviceNotFoundError, "webcam: is no kind of source; give a video"),
         ("usb:1234:5678", DeviceNotFoundError, "usb: is no kind of source"),
         ("http://host/video.mp4", DeviceNotFoundError, "http: is no kind of source"),
         ("simulated:sistem80", ConfigError, "did you mean system80"),
