@@ -46,6 +46,14 @@ def test_three_that_say_the_same_agree():
     assert "lattice and lens agree (0.0 %, limit 6.9 %)" in found.text
 
 
+@pytest.mark.parametrize(("s_ratio", "counted"), [(0.01, 0.01), (0.0, RATIO)])
+def test_what_two_share_falls_out_of_their_pair(s_ratio, counted):
+    found = check_consistency(lattice(s_ratio=s_ratio), lens(), finder())
+    assert [pair.sigma for pair in found.pairs] == pytest.approx(
+        [math.hypot(CAMERA, LENS), math.hypot(CAMERA, s_ratio, RANGE), math.hypot(counted, LENS, RANGE)]
+    )
+
+
 @pytest.mark.parametrize("factor", [0.8, 1.25])
 def test_the_odd_one_out_is_named_with_its_differences_and_their_limits(factor):
     # a camera file of another zoom: its f is off, and with it the lattice's distance

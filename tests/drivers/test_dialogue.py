@@ -1,3 +1,4 @@
+import contextlib
 import itertools
 
 import pytest
@@ -71,14 +72,17 @@ def test_a_line_lost_in_mid_question_is_passed_on_and_begun_anew():
         assert ask(channel, dialogue)[1] == b"a"
 
 
-def test_a_line_on_which_nobody_answers_is_opened_anew_in_the_end():
-    with ScriptedChannel([(b"q", [])] * SILENT_LIMIT) as channel:
+def test_a_line_on_which_nobody_answers_is_opened_anew_in_the_end_and_then_has_as_long_again():
+    nearly = [(b"q", [])] * (SILENT_LIMIT - 1)
+    script = [*nearly, (b"q", [b"a\n"]), *nearly, (b"q", []), *nearly, (b"q", [])]
+    drops = []
+    with ScriptedChannel(script) as channel:
         dialogue = Dialogue(channel, split_lines, 0.5)
-        for k in range(SILENT_LIMIT):
-            assert channel.dropped == [], k
-            with pytest.raises(DeviceTimeoutError):
+        for _ in range(len(script)):
+            with contextlib.suppress(DeviceTimeoutError):
                 ask(channel, dialogue)
-    assert len(channel.dropped) == 1
+            drops.append(len(channel.dropped))
+    assert [drops.index(1) + 1, drops.index(2) + 1] == [2 * SILENT_LIMIT, 3 * SILENT_LIMIT]
 
 
 @given(st.binary(max_size=400), st.lists(st.integers(0, 400)))

@@ -119,6 +119,7 @@ def test_what_is_wanted_on_stays_on():
         ([bytes.fromhex("906002FF")], DeviceProtocolError),
         ([bytes.fromhex("906003FF")], DeviceStateError),
         ([bytes.fromhex("9041FF 9041FF")], DeviceTimeoutError),
+        ([bytes.fromhex("9050 02FF A051FF")], DeviceTimeoutError),
     ],
 )
 def test_a_command_that_is_not_completed_fails(heard, kind):

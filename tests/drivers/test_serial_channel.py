@@ -1,6 +1,7 @@
 import errno
 import os
 import socket
+import struct
 import termios
 import threading
 from pathlib import Path
@@ -228,6 +229,19 @@ def test_what_came_before_a_hang_up_is_not_lost_with_it():
     server.close()
     listener.close()
     assert hear_out(channel) == b"last words"
+
+
+def test_a_socket_reset_by_its_other_end_is_closed_and_not_left_to_chance():
+    listener = socket.create_server(("127.0.0.1", 0))
+    channel = SerialChannel(f"socket://127.0.0.1:{listener.getsockname()[1]}")
+    channel.connect()
+    held = channel._port._socket
+    server, _ = listener.accept()
+    server.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    server.close()
+    listener.close()
+    hear_out(channel)
+    assert held.fileno() == -1
 
 
 def test_a_converter_that_does_not_answer_is_given_up(monkeypatch):
