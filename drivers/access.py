@@ -10,7 +10,7 @@ from pathlib import Path
 __all__ = ["Holder", "holders", "how_to_permit"]
 
 PROC = Path("/proc")
-RULE = "config/deploy/60-bowlsight.rules"
+RULE = "config/deploy/70-bowlsight.rules"
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,5 +31,5 @@ def test_who_may_not_is_told_the_group_or_the_rule(tmp_path, monkeypatch):
     node.chmod(0o660)
     assert how_to_permit(str(node)) == "it is for group video: sudo usermod -aG video $USER, and log in again"
     node.chmod(0o600)
-    assert "udev rule config/deploy/60-bowlsight.rules" in how_to_permit(str(node))
+    assert "udev rule config/deploy/70-bowlsight.rules" in how_to_permit(str(node))
     assert "udev rule" in how_to_permit(str(tmp_path / "absent"))

@@ -349,7 +349,7 @@ def test_a_control_that_cannot_be_set_says_why(camera, name, value, words):
     ("number", "error", "words"),
     [
         (errno.ENOENT, DeviceNotFoundError, "there is no /dev/video0; bowlsight devices lists what there is"),
-        (errno.EACCES, DevicePermissionError, "config/deploy/60-bowlsight.rules"),
+        (errno.EACCES, DevicePermissionError, "config/deploy/70-bowlsight.rules"),
         (errno.EPERM, DevicePermissionError, "may not be opened by this user"),
         (errno.EBUSY, DeviceBusyError, "is in use by another program"),
         (errno.ENODEV, DeviceDisconnectedError, "is gone"),
