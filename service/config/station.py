@@ -12,6 +12,7 @@ from drivers.automatics import AUTOMATICS
 from drivers.errors import ConfigError
 from drivers.frame import Field
 from drivers.grabber import Standard
+from service.config.alignment import GuideSettings, IdentitySettings, read_alignment, read_identity
 from service.config.cameras import read_camera
 from service.config.generators import SteamGenerator, load_generator
 from service.config.instruments import LensSettings, RangeFinderSettings, lens_settings, range_finder_settings
@@ -82,7 +83,7 @@ class ViewerSettings:
 
 @dataclass(frozen=True, slots=True)
 class Station:
-    """A station file, with the generator and the camera that it names."""
+    """A station file, with the generator, the camera and the guide that it names; no guide, no alignment."""
 
     source: SourceSettings
     generator: SteamGenerator
@@ -91,6 +92,8 @@ class Station:
     viewer: ViewerSettings
     lens: LensSettings | None = None
     range_finder: RangeFinderSettings | None = None
+    identity: IdentitySettings = field(default_factory=IdentitySettings)
+    alignment: GuideSettings | None = None
 
 
 def read_station(path: Path) -> Station:
@@ -99,15 +102,19 @@ def read_station(path: Path) -> Station:
     source, generator, camera = t.table("source", required=True), t.table("generator", required=True), t.table("camera")
     measuring, viewer = t.table("measuring"), t.table("viewer")
     lens, range_finder = t.table("lens"), t.table("range_finder")
+    identity, alignment = t.table("identity"), t.table("alignment")
     t.finish()
+    tubes, names = _generator(generator, path.parent), read_identity(identity, path.parent)
     return Station(
         source=_source(source, path.parent),
-        generator=_generator(generator, path.parent),
+        generator=tubes,
         camera=_camera(camera, path.parent),
         measuring=_measuring(measuring),
         viewer=_viewer(viewer),
         lens=lens_settings(lens),
         range_finder=range_finder_settings(range_finder),
+        identity=names,
+        alignment=read_alignment(alignment, path.parent, tubes, names.rule(tubes)),
     )
 
 

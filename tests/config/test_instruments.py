@@ -31,7 +31,7 @@ def test_a_station_without_the_tables_has_no_instruments(station):
 def test_the_shipped_file_says_what_the_defaults_are(station, tmp_path):
     shipped = re.sub(r"^# (\w+ = )", r"\1", shipped_config("station.toml").read_text(), flags=re.MULTILINE)
     path = tmp_path / "all.toml"
-    path.write_text(re.sub(r"^file = .*$", "", shipped, flags=re.MULTILINE))
+    path.write_text(re.sub(r"^(file|guide) = .*$", "", shipped, flags=re.MULTILINE))
     said = read_station(path)
     bare = station(f'[lens]\nport = "{said.lens.port}"\n[range_finder]\nport = "/dev/x"\nmodel = "dimetix"\n')
     for key in ("line", "address", "rate_hz", "stale_after_s", "autofocus_off", "digital_zoom_off", "tolerance_counts"):

@@ -10,6 +10,7 @@ from service.config.station import FieldOrder, MeasuringSettings, SourceSettings
 from service.vision.camera import Camera
 
 MINIMAL = '[source]\ndevice = "bowl.mp4"\n[generator]\nname = "system80"\n'
+GUIDE = "mouth_mm = [40, 0, 900]\naxis = [0, 0, 1]\naxis_sigma_deg = 0.1\npoint_sigma_mm = 0.1\n"
 CAMERA = "image_size_px = [640, 480]\npixel_pitch_mm = [0.005, 0.005]\n"
 
 
@@ -33,6 +34,7 @@ def test_the_shipped_file_documents_every_key_in_place(tmp_path):
     everything = re.sub(r"^# (\w+ = )", r"\1", text, flags=re.MULTILINE)
     (tmp_path / "cameras").mkdir()
     (tmp_path / "cameras" / "mine.toml").write_text(CAMERA)
+    (tmp_path / "guide.toml").write_text(GUIDE)
     s = station(tmp_path, everything)
     assert s.source == SourceSettings("simulated", "S-Video 1", controls={"brightness": 128, "contrast": 64})
     assert isinstance(s.camera, Camera)
