@@ -13,6 +13,8 @@ from service.vision.measurement import Lock, Measurement, Origin, Pose, TubeStat
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from service.alignment.result import Alignment
+
 __all__ = ["SCHEMA", "FrameResult"]
 
 SCHEMA = 1
@@ -33,7 +35,7 @@ class FrameResult:
     names
         One name, or None, a tube; empty where no anchor names them.
     alignment
-        The line's "alignment" object, or None.
+        How the guide stands to its tube; None where none is set up.
     """
 
     source: str
@@ -42,7 +44,7 @@ class FrameResult:
     generation: int
     measurement: Measurement
     names: Sequence[str | None] = ()
-    alignment: dict[str, Any] | None = None
+    alignment: Alignment | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The line as JSON's own types; see `docs/formats.md`."""
@@ -58,7 +60,7 @@ class FrameResult:
             "doubt": [str(d) for d in m.doubt],
             "tubes": self._tubes(),
             "pose": None if m.pose is None or m.lock is Lock.NONE else _pose(m.pose),
-            "alignment": self.alignment,
+            "alignment": None if self.alignment is None else self.alignment.to_dict(),
             "elapsed_ms": {k: round(v, 3) for k, v in m.elapsed_ms.items()},
         }
 

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
+
+import numpy as np
 
 from drivers.frame import Field
 from service.acquisition.ledger import Outcome
@@ -14,11 +17,11 @@ from service.vision.measurement import Lock, Measurement, Tubes
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    import numpy as np
     from numpy.typing import NDArray
 
-    from drivers.frame import Frame
+    from drivers.frame import Frame, Pixels
     from drivers.grabber import Clock
+    from service.alignment.interpreter import Interpreter
 
 __all__ = ["FrameMeasurer", "Measurer"]
 
@@ -50,10 +53,15 @@ class FrameMeasurer:
         What to take whole frames for instead of what their source says of them; None: as the source says.
     clock
         Times the rate of repeated warnings.
+    interpreter
+        Names the tubes and judges the alignment; None where neither is set up.
     """
 
-    def __init__(self, measurer: Measurer, field: Field | None, clock: Clock) -> None:
-        self._measurer, self._field = measurer, field
+    def __init__(
+        self, measurer: Measurer, field: Field | None, clock: Clock, interpreter: Interpreter | None = None
+    ) -> None:
+        self._measurer, self._field, self._interpreter = measurer, field, interpreter
+        self._before: Pixels | None = None
         self._log = RepeatedLog(log, clock)
         self._generation: int | None = None
         self._index = 0
@@ -78,9 +86,24 @@ class FrameMeasurer:
                 measurements, outcome = [_nothing(frame, f"measuring failed: {said}")], Outcome.FAILED
         sequence = self._index if frame.sequence is None else frame.sequence
         self._index = sequence + 1
-        return tuple(
-            FrameResult(frame.source, sequence, frame.timestamp_ns, frame.generation, m) for m in measurements
-        ), outcome
+        results = [FrameResult(frame.source, sequence, frame.timestamp_ns, frame.generation, m) for m in measurements]
+        if self._interpreter is not None and not self._interpret(frame, results, self._interpreter):
+            outcome = Outcome.FAILED
+        return tuple(results), outcome
+
+    def _interpret(self, frame: Frame, results: list[FrameResult], interpreter: Interpreter) -> bool:
+        """Put names and alignment into the results; False where that failed, and they stay without."""
+        fresh = self._before is None or not np.array_equal(self._before, frame.pixels)
+        self._before = frame.pixels
+        try:
+            for i, result in enumerate(results):
+                names, alignment = interpreter.read(result.measurement, frame.generation, fresh=fresh)
+                results[i] = replace(result, names=names, alignment=alignment)
+        except Exception as error:  # noqa: BLE001 - as above: the measurement itself is sound
+            said = f"{type(error).__name__}: {error}"
+            self._log.warning("interpret", f"{frame.source}: frame {frame.sequence} could not be judged: {said}", error)
+            return False
+        return True
 
     def _field_of(self, frame: Frame) -> Field:
         alone = frame.field in (Field.TOP, Field.BOTTOM)

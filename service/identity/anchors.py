@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["Anchor", "NamedLattice", "settle"]
+__all__ = ["Anchor", "NamedLattice", "check_anchors", "settle"]
 
 CLEAR_SHARE = 1 / 3
 """The picture may be turned against the settings by this share of the lattice's smallest turn; beyond half of it the
@@ -71,7 +71,7 @@ class NamedLattice:
         """The name of a lattice place; None where the plant counts no tube (numbers below 1)."""
         return self.names_of(np.array([row]), np.array([column]))[0]
 
-    def names_of(self, rows: NDArray[np.int_], columns: NDArray[np.int_]) -> list[TubeName | None]:
+    def names_of(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> list[TubeName | None]:
         """Names of lattice places."""
         naming = self.rule.naming
         return [
@@ -112,18 +112,28 @@ def settle(
     NamingError
         They contradict each other or the rule, or leave more than one way.
     """
+    ways = check_anchors(rule, anchors)
+    if len(ways) > 1:
+        ways = _upright(rule, ways, camera_from_sheet)
+    if len(ways) > 1:
+        raise NamingError(
+            f"anchor {anchors[0]}: the picture is turned so far against [identity] rows_grow that {len(ways)} ways to"
+            " count fit it; anchor another tube as well"
+        )
+    return NamedLattice(rule, ways[0], tuple(anchors), generation)
+
+
+def check_anchors(rule: NamingRule, anchors: Sequence[Anchor]) -> Sequence[Counting]:
+    """Ways to count that fit the anchors; raises NamingError where none does, or no picture could choose among them."""
     for anchor in anchors:
         rule.check(anchor.name)
     ways = _of_known_side(rule, anchors, _fitting(rule, anchors))
-    if len(ways) > 1 and rule.mirrored is not None:
-        ways = _upright(rule, ways, camera_from_sheet)
-    if len(ways) > 1:
-        more = "another tube" if rule.mirrored is not None else "two more tubes, not in one line"
+    if len(ways) > 1 and rule.mirrored is None:
         raise NamingError(
-            f"anchor {anchors[0]}: {len(ways)} ways to count fit it; set [identity] rows_grow and columns_grow,"
-            f" or anchor {more}"
+            f"anchor {anchors[0]}: {len(ways)} ways to count fit it; set [identity] rows_grow and columns_grow in the"
+            " station file, or anchor two more tubes, not in one line"
         )
-    return NamedLattice(rule, ways[0], tuple(anchors), generation)
+    return ways
 
 
 def _fitting(rule: NamingRule, anchors: Sequence[Anchor]) -> Sequence[Counting]:

@@ -118,7 +118,7 @@ class Counting:
     start: NDArray[np.int64]
     mirrored: bool
 
-    def numbers(self, rows: NDArray[np.int_], columns: NDArray[np.int_]) -> NDArray[np.int64]:
+    def numbers(self, rows: NDArray[np.integer], columns: NDArray[np.integer]) -> NDArray[np.int64]:
         """Numbers of lattice places, (n, 2): row and column as the plant counts."""
         return np.stack([rows, columns], axis=-1).astype(np.int64) @ self.matrix.T + self.start
 

@@ -2,6 +2,7 @@ from drivers.frame import Field
 from service.acquisition.ledger import Outcome
 from service.acquisition.measuring import FrameMeasurer
 from tests.fakes.clock import ManualClock
+from tests.fakes.results import make_measurement
 from tests.fakes.scripted import FakeMeasurer, make_frame, nothing_found
 
 
@@ -45,3 +46,43 @@ def test_a_bad_field_is_answered_as_that_field():
         make_frame(0, field=Field.BOTTOM, defect="torn")
     )
     assert result.measurement.field == "bottom"
+
+
+class ScriptedInterpreter:
+    """Notes what it is given; names every tube, or raises."""
+
+    def __init__(self, error=None):
+        self.error, self.seen = error, []
+
+    def read(self, measurement, generation, *, fresh=True):
+        self.seen.append((measurement.field, generation, fresh))
+        if self.error:
+            raise self.error
+        return ["L1R1"] * len(measurement.tubes), None
+
+
+def test_every_answer_is_interpreted_with_its_generation():
+    interpreter = ScriptedInterpreter()
+    measurer = FakeMeasurer(lambda: [make_measurement(field="top"), nothing_found("bottom")])
+    results, _ = FrameMeasurer(measurer, None, ManualClock(), interpreter).answer(make_frame(7, generation=3))
+    assert [len(r.names) for r in results] == [5, 0]
+    assert [tube["name"] for tube in results[0].to_dict()["tubes"]] == ["L1R1"] * 5
+    assert interpreter.seen == [("top", 3, True), ("bottom", 3, True)]
+
+
+def test_a_picture_that_is_the_same_as_the_last_is_not_fresh():
+    interpreter = ScriptedInterpreter()
+    frames = FrameMeasurer(FakeMeasurer(), None, ManualClock(), interpreter)
+    for k in range(3):
+        frames.answer(make_frame(k))
+    frames.answer(make_frame(3, size=(32, 24)))
+    assert [fresh for *_, fresh in interpreter.seen] == [True, False, False, True]
+
+
+def test_a_mistake_in_judging_leaves_the_measurement_and_is_counted(caplog):
+    interpreter = ScriptedInterpreter(ValueError("oh"))
+    measurer = FakeMeasurer(lambda: [make_measurement()])
+    (result,), outcome = FrameMeasurer(measurer, None, ManualClock(), interpreter).answer(make_frame(0))
+    assert (result.measurement.lock, list(result.names), result.alignment) == ("full", [], None)
+    assert outcome is Outcome.FAILED
+    assert "could not be judged: ValueError: oh" in caplog.text
