@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, ClassVar, Protocol, TypeAlias
 from drivers.dialogue import Dialogue, split_lines
 from drivers.errors import DeviceError
 from drivers.reading import Quality
-from drivers.serial_channel import LineSettings
+from drivers.serial_port import LineSettings
 
 if TYPE_CHECKING:
     from drivers.serial_channel import ByteChannel

@@ -6,8 +6,13 @@ import time
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 SHARED = Path(os.environ.get("BOWLSIGHT_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+
+# A busy machine is slow; that is no fault of what is tested.
+settings.register_profile("bowlsight", deadline=None, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("bowlsight")
 
 
 @pytest.fixture(scope="session")

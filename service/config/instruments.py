@@ -6,7 +6,7 @@ import enum
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from drivers.serial_channel import LineSettings, port_fault
+from drivers.serial_port import LineSettings, port_fault
 from drivers.zoom_table import SONY_25X, ZoomTable
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ import pytest
 
 from drivers.range_finder import AcuityRangeFinder, DimetixRangeFinder
 from drivers.reading import Quality
-from drivers.serial_channel import LineSettings
+from drivers.serial_port import LineSettings
 from service.acquisition.instruments import Instruments, open_range_finder
 from service.acquisition.readings import Calibration, InstrumentReadings
 from service.config.instruments import LensSettings, RangeFinderModel, RangeFinderSettings

@@ -5,7 +5,7 @@ import pytest
 from drivers.lens import LensState
 from drivers.range_finder import RangeReading
 from drivers.reading import Quality
-from drivers.serial_channel import LineSettings
+from drivers.serial_port import LineSettings
 from service.acquisition.readings import Calibration, Estimate, LensPlace, calibration_of, distance_of, focal_length_of
 from service.config.instruments import LensSettings, RangeFinderModel, RangeFinderSettings
 

@@ -3,7 +3,7 @@ import re
 import pytest
 
 from drivers.errors import ConfigError
-from drivers.serial_channel import LineSettings
+from drivers.serial_port import LineSettings
 from drivers.zoom_table import SONY_25X
 from service.config.instruments import RangeFinderModel, RangeFinderSettings
 from service.config.shipped import shipped_config

@@ -10,7 +10,7 @@ import pytest
 import serial
 from serial.urlhandler import protocol_socket
 
-from drivers import serial_channel
+from drivers import serial_port
 from drivers.errors import (
     DeviceBusyError,
     DeviceDisconnectedError,
@@ -18,7 +18,8 @@ from drivers.errors import (
     DevicePermissionError,
     DeviceStateError,
 )
-from drivers.serial_channel import LineSettings, SerialChannel, port_fault
+from drivers.serial_channel import SerialChannel
+from drivers.serial_port import LineSettings, port_fault
 from tests.fakes.clock import HurriedClock, ManualClock
 from tests.fakes.serial_devices import FakeRangeFinder, PtyLine, Rfc2217Line, SocketLine
 
@@ -47,7 +48,7 @@ class FakePort:
         if isinstance(step, Exception):
             raise step
         if not step:
-            self.clock.advance(serial_channel.SLICE_S)
+            self.clock.advance(serial_port.SLICE_S)
         return step
 
     def write(self, data):
@@ -175,7 +176,7 @@ def test_an_unplugged_port_is_told_and_found_again_where_its_link_points(tmp_pat
 
 
 def test_a_port_that_takes_nothing_more_is_lost_not_waited_for(monkeypatch):
-    monkeypatch.setattr(serial_channel, "WRITE_TIMEOUT_S", 0.1)
+    monkeypatch.setattr(serial_port, "WRITE_TIMEOUT_S", 0.1)
     master, slave = os.openpty()
     channel = SerialChannel(os.ttyname(slave))
     with pytest.raises(DeviceDisconnectedError, match="Write timeout"):
@@ -188,7 +189,7 @@ def test_a_port_that_another_holds_is_busy(tmp_path):
     with PtyLine(tmp_path, FakeRangeFinder(b"one\n")) as line:
         first, second = SerialChannel(line.path), SerialChannel(line.path)
         first.connect()
-        with pytest.raises(DeviceBusyError, match="another program"):
+        with pytest.raises(DeviceBusyError, match=rf"in use by .*pid {os.getpid()}"):
             second.connect()
         first.close()
         first.close()
@@ -331,9 +332,9 @@ def test_whatever_pyserial_raises_is_a_lost_line(failure):
 @pytest.mark.parametrize(
     ("failure", "kind", "words"),
     [
-        (serial.SerialException(errno.EACCES, "x"), DevicePermissionError, "group dialout"),
+        (serial.SerialException(errno.EACCES, "x"), DevicePermissionError, "usermod -aG dialout"),
         (serial.SerialException(errno.ENODEV, "x"), DeviceNotFoundError, "bowlsight devices"),
-        (serial.SerialException(errno.EBUSY, "x"), DeviceBusyError, "another program"),
+        (serial.SerialException(errno.EBUSY, "x"), DeviceBusyError, "in use by another program"),
         (termios.error(22, "Invalid argument"), DeviceNotFoundError, "Invalid argument"),
         (ValueError("Not a valid\nbaudrate"), DeviceNotFoundError, "Not a valid baudrate"),
     ],
