@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from service.acquisition.measuring import Measurer
     from service.acquisition.slot import HandOver
     from service.acquisition.worker import Answer
+    from service.alignment.interpreter import Interpreter
     from service.sinks.base import Sink, SinkStats
 
 __all__ = ["STOP_S", "LiveService"]
@@ -59,6 +60,8 @@ class LiveService:
         What to take every frame for; None: as the source says.
     oldest_s
         Do not measure frames older than this; None: however old.
+    interpreter
+        Names the tubes and judges the alignment; None where neither is set up.
     """
 
     def __init__(
@@ -71,8 +74,10 @@ class LiveService:
         every_frame: bool = False,
         field: Field | None = None,
         oldest_s: float | None = None,
+        interpreter: Interpreter | None = None,
     ) -> None:
         self._grabber, self._measurer_for, self._sinks = grabber, measurer_for, tuple(sinks)
+        self._interpreter = interpreter
         self._clock, self._field, self._oldest_s = grabber.clock, field, oldest_s
         self._ledger = Ledger()
         self._hand_over: HandOver = FrameQueue(ORDERED_CAPACITY) if every_frame else NewestSlot()
@@ -104,7 +109,8 @@ class LiveService:
         cv2.setNumThreads(1)  # a second thread costs capture its core and gains nothing
         try:
             picture_format = self._acquisition.open(OPEN_TIMEOUT_S)
-            measurer = FrameMeasurer(self._measurer_for(picture_format), self._field, self._clock)
+            vision = self._measurer_for(picture_format)
+            measurer = FrameMeasurer(vision, self._field, self._clock, self._interpreter)
             for sink in self._sinks:
                 self._started_sinks.append(sink)
                 sink.start()

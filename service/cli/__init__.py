@@ -41,7 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 def _run(args: argparse.Namespace) -> int:
     try:
         with interruptible():
-            status: int = importlib.import_module(f"service.cli.{args.command}").run(args)
+            status: int = importlib.import_module(f"service.cli.{args.command.replace('-', '_')}").run(args)
             sys.stdout.flush()
             return status
     except Interrupted as interrupted:

@@ -15,9 +15,11 @@ from drivers.errors import ConfigError, DeviceError
 from drivers.replay import ReplayGrabber
 from service.acquisition.ledger import Ledger
 from service.acquisition.measuring import FrameMeasurer
-from service.cli.inputs import field_order, fitting_camera
+from service.cli.inputs import field_order, fitting_camera, station
+from service.cli.interpreting import interpreter_for
 from service.cli.live import prepare_kernels
 from service.cli.terminal import Interrupted, say
+from service.config.alignment import IdentitySettings
 from service.config.cameras import read_camera
 from service.config.generators import load_generator
 from service.sinks.jsonl import JsonlWriter
@@ -30,6 +32,8 @@ if TYPE_CHECKING:
 
     from drivers.frame import Field, Frame
     from service.acquisition.ledger import Account
+    from service.alignment.interpreter import Interpreter
+    from service.config.generators import SteamGenerator
     from service.sinks.base import Sink
     from service.vision.camera import Camera
     from service.vision.lattice import Lattice
@@ -39,10 +43,11 @@ __all__ = ["run"]
 
 def run(args: argparse.Namespace) -> int:
     """Check everything first, then measure; returns the exit status."""
-    lattice = load_generator(args.generator).lattice
+    generator = load_generator(args.generator)
     camera = read_camera(args.camera) if args.camera else None
     outputs = [Path(p) for p in (args.jsonl, args.csv) if p not in (None, "-")]
-    _refuse_overwriting(outputs, [p for p in (*args.paths, args.camera) if p])
+    _refuse_overwriting(outputs, [p for p in (*args.paths, args.camera, args.config) if p])
+    interpreters = _interpreters(args, generator)
     grabbers = [ReplayGrabber(path, speed=math.inf) for path in args.paths]
     total = _check(grabbers, camera)
     field = field_order(args.field_order).field
@@ -55,7 +60,21 @@ def run(args: argparse.Namespace) -> int:
         tqdm.monitor_interval = 0  # no thread of its own
         shows_rows = sys.stdout.isatty() and args.jsonl != "-"  # a bar would run into them
         bar = opened.enter_context(tqdm(total=total, unit="frame", disable=True if shows_rows else None, leave=False))
-        return _Analysis(lattice, camera, field, writers, bar).run(grabbers)
+        return _Analysis(generator.lattice, camera, field, writers, bar).run(grabbers, interpreters)
+
+
+def _interpreters(args: argparse.Namespace, generator: SteamGenerator) -> Sequence[Interpreter | None]:
+    """One for each source: each has a lattice index of its own."""
+    s = None if args.config is None else station(args.config)
+    identity, guide = (IdentitySettings(), None) if s is None else (s.identity, s.alignment)
+    found = [interpreter_for(args, identity, guide, generator) for _ in args.paths]
+    of_place = any(i is not None and i.aligner is not None and i.aligner.target.place is not None for i in found)
+    if len(args.paths) > 1 and (args.anchor or of_place):
+        raise ConfigError(
+            f"{args.paths[1]}: has a lattice index of its own, for which --anchor or a target by its place does not"
+            " hold; analyze one PATH at a time"
+        )
+    return found
 
 
 def _check(grabbers: Sequence[ReplayGrabber], camera: Camera | None) -> int | None:
@@ -97,11 +116,11 @@ class _Analysis:
         self._ledger = Ledger()
         self._locked = self._pictures = 0
 
-    def run(self, grabbers: Sequence[ReplayGrabber]) -> int:
+    def run(self, grabbers: Sequence[ReplayGrabber], interpreters: Sequence[Interpreter | None]) -> int:
         broken = False
         try:
-            for grabber in grabbers:
-                broken |= not self._source(grabber)
+            for grabber, interpreter in zip(grabbers, interpreters, strict=True):
+                broken |= not self._source(grabber, interpreter)
         except Interrupted as interrupted:
             say(f"interrupted: {self._said(self._ledger.account())}; what is measured is written")
             return 128 + interrupted.signal
@@ -109,12 +128,13 @@ class _Analysis:
         say(self._said(account))
         return int(broken or account.failed > 0 or not account.balanced())
 
-    def _source(self, grabber: ReplayGrabber) -> bool:
+    def _source(self, grabber: ReplayGrabber, interpreter: Interpreter | None) -> bool:
         """Measure one source, from nothing; False where it breaks off."""
         self._ledger.begin_stream()
         with grabber:
             camera = fitting_camera(self._camera, grabber.format, grabber.name, quiet=True)
-            measurer = FrameMeasurer(Measurer(camera, self._lattice, time.perf_counter_ns), self._field, grabber.clock)
+            vision = Measurer(camera, self._lattice, time.perf_counter_ns)
+            measurer = FrameMeasurer(vision, self._field, grabber.clock, interpreter)
             grabber.start()
             try:
                 for frame in grabber:

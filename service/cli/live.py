@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from drivers.grabber import FrameFormat, Grabber
+    from service.alignment.interpreter import Interpreter
     from service.config.generators import SteamGenerator
     from service.config.station import MeasuringSettings, ViewerSettings
     from service.vision.camera import Camera
@@ -45,6 +46,8 @@ class LiveRun:
         Sets the device up once it is open: input, standard, controls.
     every_frame
         Measure all frames, at the pace at which that goes; otherwise the newest.
+    interpreter
+        Names the tubes and judges the alignment, where that is set up.
     """
 
     kind: str
@@ -55,6 +58,7 @@ class LiveRun:
     viewer: ViewerSettings
     prepare: Callable[[Grabber], None] | None = None
     every_frame: bool = False
+    interpreter: Interpreter | None = None
 
 
 def watch(live: LiveRun, args: argparse.Namespace) -> int:
@@ -73,6 +77,7 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         every_frame=live.every_frame,
         field=live.measuring.field_order.field,
         oldest_s=None if live.every_frame else live.measuring.oldest_frame_ms / 1e3,
+        interpreter=live.interpreter,
     )
     with service:
         service.open()

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 import difflib
 import math
+import re
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from service import __version__
 
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["COMMANDS", "UsageError", "parse"]
 
+_LEADS_WITH_A_NUMBER = re.compile(r"^-[0-9]+")
+"""An argument that begins so is a value, such as the lattice place -3,12, and no option."""
 GENERATORS = "delta60, model-f, 51b, system80, candu6, or a .toml file with one"
 
 
@@ -23,6 +26,10 @@ class UsageError(Exception):
 
 
 class _Parser(argparse.ArgumentParser):
+    def __init__(self, *args: Any, **more: Any) -> None:
+        super().__init__(*args, **more)
+        self._negative_number_matcher = _LEADS_WITH_A_NUMBER
+
     def error(self, message: str) -> NoReturn:
         raise UsageError(f"{' '.join(message.split())}; see {self.prog} --help")
 
@@ -168,6 +175,25 @@ def _station(p: _Parser) -> None:
     )
 
 
+def _anchors(p: _Parser) -> None:
+    p.add_argument(
+        "--anchor",
+        metavar="ROW,COLUMN=NAME",
+        action="append",
+        default=[],
+        help="the tube at this lattice place has that name, such as 3,-2=L83R87; names all others; may be repeated",
+    )
+
+
+def _interpreting(p: _Parser) -> None:
+    _anchors(p)
+    p.add_argument(
+        "--target",
+        metavar="TUBE",
+        help="the tube to align to: its name, its lattice place ROW,COLUMN, or nearest; default: the station file's",
+    )
+
+
 # -- the commands ------------------------------------------------------------------------------------------------------
 
 
@@ -177,6 +203,7 @@ def _demo(p: _Parser) -> None:
 
 def _run(p: _Parser) -> None:
     _station(p)
+    _interpreting(p)
     _viewer(p)
 
 
@@ -190,6 +217,7 @@ def _replay(p: _Parser) -> None:
     _camera(p)
     _field_order(p)
     _station(p)
+    _interpreting(p)
     _viewer(p)
 
 
@@ -202,6 +230,10 @@ def _analyze(p: _Parser) -> None:
     _field_order(p)
     p.add_argument("--jsonl", metavar="FILE|-", help="a JSON line a picture; - for standard output, without the table")
     p.add_argument("--csv", metavar="FILE", type=Path, help="a row a picture, for spreadsheets")
+    p.add_argument(
+        "--config", metavar="FILE", type=Path, help="station file: its [identity] and [alignment] hold here too"
+    )
+    _interpreting(p)
 
 
 def _compare(p: _Parser) -> None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from drivers.replay import ReplayGrabber
 from service.cli.inputs import field_order, station
+from service.cli.interpreting import interpreter_for
 from service.cli.live import LiveRun, watch
 from service.config.cameras import read_camera
 from service.config.generators import load_generator
@@ -31,6 +32,7 @@ def run(args: argparse.Namespace) -> int:
             measuring=replace(s.measuring, field_order=field_order(args.field_order, s.measuring.field_order)),
             viewer=s.viewer,
             every_frame=math.isinf(args.speed),
+            interpreter=interpreter_for(args, s.identity, s.alignment, generator),
         ),
         args,
     )

@@ -12,6 +12,7 @@ from drivers.replay import ReplayGrabber
 from drivers.scene import GENERATORS
 from drivers.simulated import SimulatedGrabber
 from service.cli.inputs import station
+from service.cli.interpreting import interpreter_for
 from service.cli.live import LiveRun, watch
 from service.cli.simulate import camera_of
 
@@ -43,6 +44,7 @@ def run(args: argparse.Namespace) -> int:
             measuring=s.measuring,
             viewer=s.viewer,
             prepare=_preparing(s.source),
+            interpreter=interpreter_for(args, s.identity, s.alignment, s.generator),
         ),
         args,
     )

@@ -34,8 +34,8 @@ def test_every_spelling_of_a_row_and_column_is_read(text):
 @pytest.mark.parametrize(
     "text",
     [
-        *("", "L83", "83", "8387", "L83L87", "R83R87", "83/87/1", "-5/3", "L-83R87", "L83R87?", "83.87", "83,87", "L83R"),
-        *("83L87R", "L8 3R87", "C83R87", "L83C87", "L٣R5", "LINE", "L83R87 L83R87"),
+        *("", "L83", "83", "8387", "L83L87", "R83R87", "83/87/1", "-5/3", "L-83R87", "L83R87?", "83.87", "83,87"),
+        *("L83R", "83L87R", "L8 3R87", "C83R87", "L83C87", "L٣R5", "LINE", "L83R87 L83R87"),
     ],
 )
 def test_what_has_no_single_meaning_is_refused_with_an_example(text):
