@@ -126,11 +126,10 @@ def _posterior(refined: Refined, lattice: Lattice) -> tuple[Array, Array]:
         place,
     )  # fmt: skip
     J = np.ascontiguousarray(J[:, :, [*range(6), *(6 + PARAMETERS.index(name) for name in fit.names)]])
-    f2 = refined.scatter_factor**2
     center, variance = np.empty((n, 2)), np.empty(n)
     _combine(
         px, J, place, fit.covariance, refined.used, refined.center_px, refined.rims.covariance_px,
-        f2 * lattice.scatter_mm**2, f2 * lattice.height_scatter_mm**2, refined.misfit.variance_px2, center, variance,
+        lattice.scatter_mm**2, lattice.height_scatter_mm**2, refined.misfit.variance_px2, center, variance,
     )  # fmt: skip
     return center, np.sqrt(variance + refined.bias.variance_px2(place))
 

@@ -90,7 +90,7 @@ class PlaceMap:
         off, variance = _offsets(refined)
         side = 2 * window + 1
         score, common = np.zeros((side, side)), np.zeros((side, side), np.int64)
-        scatter2 = (refined.scatter_factor * self._lattice.scatter_mm) ** 2
+        scatter2 = self._lattice.scatter_mm**2
         _compare(
             refined.sites.row, refined.sites.column, refined.used, off, variance, refined.state, self._off,
             self._weight, self._state, scatter2, score, common,

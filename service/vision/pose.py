@@ -421,7 +421,6 @@ def fit_pose(
     lattice: Lattice,
     prior: Prior,
     *,
-    scatter_factor: float = 1.0,
     iterations: int = 12,
 ) -> Fit:
     """Solve for the pose, and for the camera parameters that `prior` names.
@@ -437,7 +436,7 @@ def fit_pose(
     rotation, translation_mm
         Where the pose starts.
     lattice
-        Its scatter is added to each centre's covariance, times `scatter_factor`.
+        Its scatter is added to each centre's covariance.
     """
     start = _parameter_vector(camera)
     free = np.array([PARAMETERS.index(n) for n in prior.names], np.int64)
@@ -445,11 +444,10 @@ def fit_pose(
     opencv = isinstance(camera.lens, OpenCVLens)
     lens_free = any(PARAMETERS.index(n) >= 5 for n in prior.names)
     fold = -1.0 if lens_free or not opencv else float(camera.vector()[10])
-    f2 = scatter_factor**2
     theta, R, t, pivot, A, weight, info, px, J, scale, converged = _gauss_newton(
         start, 1.0 if opencv else TSAI, np.array(camera.pixel_pitch_mm), fold,
         np.ascontiguousarray(rotation), np.ascontiguousarray(translation_mm), sheet_mm, center_px, covariance_px,
-        f2 * lattice.scatter_mm**2, f2 * lattice.height_scatter_mm**2, free, known, prior.mean, iterations,
+        lattice.scatter_mm**2, lattice.height_scatter_mm**2, free, known, prior.mean, iterations,
     )  # fmt: skip
     return Fit(
         rotation=R,

@@ -40,7 +40,10 @@ LEAST_STRENGTH = 2.4
 LEAST_RAYS = 0.4
 LEAST_TUBES = 6
 """Fewer measured tubes do not make a pose worth telling."""
-QUICK_RAYS = 16
+SETTLED = 0.12
+"""Edge widths that the tubes may lie off, in the middle of them all, for a pass to be the last."""
+STEADY_WIDTH = 0.85
+"""Least part of a profile's width that the next one may have, for a pass to be the last."""
 NARROWING = 0.36
 """Most that the search narrows from pass to pass."""
 LIKELY_WIDTH_PX = 1.2
@@ -71,8 +74,6 @@ class Refined:
         What the light was found to shift in common.
     misfit
         What is smooth in the residuals; it is in the covariance of `fit`.
-    scatter_factor
-        What the lattice's scatter was taken times.
     state
         (n,) uint8 of `TubeState`.
     parity
@@ -89,7 +90,6 @@ class Refined:
     profile: EdgeProfile
     bias: EdgeBias
     misfit: Misfit
-    scatter_factor: float
     state: NDArray[np.uint8]
     parity: int | None
 
@@ -112,11 +112,10 @@ def refine(
     *,
     passes: int,
     watch: Stopwatch,
-    scatter_factor: float = 1.0,
-    first: int | None = None,
+    bias: EdgeBias | None = None,
     parity: int | None = None,
 ) -> Refined | None:
-    """Measure all tubes in the picture and solve for the pose, `passes` times over; None where too few are seen.
+    """Measure all tubes in the picture and solve for the pose, until it stands still; None where too few are seen.
 
     Parameters
     ----------
@@ -127,78 +126,70 @@ def refine(
     rotation, translation_mm
         Rough pose: within a quarter of a rim's radius for a profile that wide.
     passes
-        How often to measure and solve.
-    scatter_factor
-        The lattice's scatter is taken times this.
+        How often to measure at the most. A pass whose tubes lay where they were expected, under a profile as narrow as
+        the edges are, is the last.
+    bias
+        What the edges of the picture before had in common.
     parity
         0 or 1 where the picture is the top or bottom field, None for a frame: passed through.
-    first
-        Tubes that the first pass measures, spread over the picture; by default all.
     """
-    for step in range(passes - 1):
-        quick = first is not None and step == 0
-        looked = _look(image, camera, lattice, rotation, translation_mm, profile, first if quick else None)
+    for step in range(passes):
+        looked = _look(image, camera, lattice, rotation, translation_mm, profile)
         watch.lap("detect")
         if looked is None:
             return None
         sites, rims, used = looked
+        narrow = _narrowed(profile_of(rims), profile)
+        moved = max(abs(float(m)) for m in np.median(rims.shift_px[used], axis=0))
+        steady = moved < SETTLED * profile.width_px and narrow.width_px > profile.width_px * STEADY_WIDTH
+        if step == passes - 1 or steady:
+            refined = _solved(
+                *looked, narrow, image.shape, camera, lattice, prior, rotation, translation_mm, bias, parity
+            )
+            watch.lap("pose")
+            return refined
         fit = fit_pose(
             sites.sheet_mm[used], rims.center_px[used], rims.covariance_px[used], camera, rotation, translation_mm,
-            lattice, prior, scatter_factor=scatter_factor,
+            lattice, prior,
         )  # fmt: skip
-        camera, rotation, translation_mm = fit.camera, fit.rotation, fit.translation_mm
-        if not quick:
-            profile = _narrowed(profile_of(rims), profile)
+        camera, rotation, translation_mm, profile = fit.camera, fit.rotation, fit.translation_mm, narrow
         watch.lap("pose")
-    looked = _look(image, camera, lattice, rotation, translation_mm, profile, None)
-    watch.lap("detect")
-    if looked is None:
-        return None
-    size = image.shape[1], image.shape[0]
-    refined = _solved(*looked, size, camera, lattice, prior, rotation, translation_mm, scatter_factor, parity)
-    watch.lap("pose")
-    return refined
+    return None
 
 
 def _look(
-    image: Image, camera: Camera, lattice: Lattice, rotation: Array, translation_mm: Array, profile: EdgeProfile,
-    first: int | None,
-) -> tuple[Sites, Rims, NDArray[np.bool_]] | None:  # fmt: skip
-    """Measure the tubes in the picture, or `first` of them quickly; None where too few are seen."""
+    image: Image, camera: Camera, lattice: Lattice, rotation: Array, translation_mm: Array, profile: EdgeProfile
+) -> tuple[Sites, Rims, NDArray[np.bool_]] | None:
+    """Measure the tubes in the picture; None where too few are seen."""
     vector, size = camera.vector(), (image.shape[1], image.shape[0])
     sites = sites_in_picture(vector, rotation, translation_mm, lattice, size, 0.0)
     if len(sites) < LEAST_TUBES:
         return None
-    if first is not None and len(sites) > first:
-        sites = sites.take(np.linspace(0, len(sites) - 1, first).astype(np.int64))
-    rays = None if first is None else QUICK_RAYS
-    rims = measure_rims(image, vector, rotation, translation_mm, sites.sheet_mm, lattice, profile, rays)
+    rims = measure_rims(image, vector, rotation, translation_mm, sites.sheet_mm, lattice, profile)
     used = accepted(rims, profile.width_px)
     return None if used.sum() < LEAST_TUBES else (sites, rims, used)
 
 
 def _solved(
-    sites: Sites, rims: Rims, used: NDArray[np.bool_], size_px: tuple[int, int], camera: Camera, lattice: Lattice,
-    prior: Prior, rotation: Array, translation_mm: Array, scatter_factor: float, parity: int | None,
+    sites: Sites, rims: Rims, used: NDArray[np.bool_], profile: EdgeProfile, shape: tuple[int, ...], camera: Camera,
+    lattice: Lattice, prior: Prior, rotation: Array, translation_mm: Array, bias: EdgeBias | None, parity: int | None,
 ) -> Refined:  # fmt: skip
     """The last solution: without what the edges have in common, and with what is not known of it in its covariance."""
     _, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
-    bias = edge_bias(rims, used, place)
+    bias = edge_bias(rims, used, place, bias)
     center = rims.center_px - bias.of(place, rims.light_px)
     fit = fit_pose(
-        sites.sheet_mm[used], center[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice, prior,
-        scatter_factor=scatter_factor,
-    )  # fmt: skip
+        sites.sheet_mm[used], center[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice, prior
+    )
     predicted, place = projected(fit.camera, fit.rotation, fit.translation_mm, sites.sheet_mm)
     light = fit.response(rims.light_px[used] * math.sqrt(bias.covariance[3, 3]))
-    misfit = smooth_misfit(fit, predicted[used], size_px, predicted)
+    misfit = smooth_misfit(fit, predicted[used], (shape[1], shape[0]), predicted)
     fit = replace(fit, covariance=fit.covariance + np.outer(light, light) + misfit.covariance)
     agreeing = used.copy()
     agreeing[np.flatnonzero(used)[fit.weight <= 0]] = False
     return Refined(
         sites=sites, rims=rims, center_px=center, used=agreeing, fit=fit, predicted_px=predicted, place=place,
-        profile=_narrowed(profile_of(rims), rims.seen.profile), bias=bias, misfit=misfit,
-        scatter_factor=scatter_factor, state=tube_states(sites, rims, agreeing), parity=parity,
+        profile=profile, bias=bias, misfit=misfit, state=tube_states(sites, rims, agreeing), parity=parity,
     )  # fmt: skip
 
 

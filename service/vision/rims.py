@@ -45,7 +45,8 @@ NODES = 8
 """Points of a circle that are projected exactly; a trigonometric polynomial through them gives the others."""
 _ANGLE = 2 * np.pi * np.arange(NODES) / NODES
 NODE_WAVES = np.column_stack([np.ones(NODES), np.cos(_ANGLE), np.sin(_ANGLE), np.cos(2 * _ANGLE), np.sin(2 * _ANGLE)])
-RAY_SPACING_PX = 2.8
+RAY_SPACING_PX, FEWEST_RAYS, MOST_RAYS = 2.8, 16, 24
+"""Rays stand this far apart on the rim, as neighbours would see the same pixels; more of them gain little."""
 SAMPLES = 12
 GRID = np.array([-3.6, -2.9, -2.2, -1.6, -1.1, -0.65, -0.2, 0.25, 0.7, 1.3, 2.0, 2.9])
 """Where a ray is sampled, in edge widths from the edge's place."""
@@ -246,7 +247,7 @@ def measure_rims(
     """
     n, aspect = len(sheet_mm), float(vector[0] / vector[1])
     scale = _px_per_mm(vector, rotation, translation_mm, sheet_mm)
-    count = rays or int(np.clip(round(2 * math.pi * lattice.rim_radius_mm * scale / RAY_SPACING_PX / 4) * 4, 16, 40))
+    count = rays or _rays(2 * math.pi * lattice.rim_radius_mm * scale)
     resolved = max((lattice.outer_radius_mm - lattice.rim_radius_mm) * scale / profile.width_px, 1e-3)
     edge, foot, functionals = _windows(profile, resolved)
     dots, normal = np.empty((n, count, 8), np.float32), np.empty((n, count, 2))
@@ -359,9 +360,14 @@ def _px_per_mm(vector: Array, rotation: Array, translation_mm: Array, sheet_mm: 
 
 @lru_cache(maxsize=64)
 def _circle(count: int) -> Array:
-    """Cosine and sine of `count` angles around a circle, and of twice those, (count, 4)."""
+    """Cosine and sine of `count` angles around a circle, and of twice those, (4, count)."""
     a = 2 * np.pi * np.arange(count) / count
-    return np.column_stack([np.cos(a), np.sin(a), np.cos(2 * a), np.sin(2 * a)])
+    return np.array([np.cos(a), np.sin(a), np.cos(2 * a), np.sin(2 * a)])
+
+
+def _rays(circumference_px: float) -> int:
+    """How many rays a rim deserves; a multiple of four, so that few sizes occur."""
+    return min(max(4 * round(circumference_px / RAY_SPACING_PX / 4), FEWEST_RAYS), MOST_RAYS)
 
 
 @compiled
@@ -372,9 +378,9 @@ def _sample(
 ) -> None:  # fmt: skip
     """Sample along the normals of projected circles, bilinear; a ray that leaves the picture is not valid."""
     h, w = image.shape
-    count, last = circle.shape[0], offsets.shape[0] - 1
+    count, last = circle.shape[1], offsets.shape[0] - 1
     aspect = v[0] / v[1]
-    wave = np.empty((2, 5))
+    wave, ray = np.empty((2, 5)), np.empty((4, count))
     scratch, place, u = np.empty((6, SAMPLES), np.float32), np.empty(SAMPLES, np.int32), offsets.astype(np.float32)
     grey, total = np.empty(SAMPLES, np.float32), np.empty(SAMPLES, np.float32)
     for i in range(sheet_mm.shape[0]):
@@ -385,17 +391,10 @@ def _sample(
             continue
         seen = 0
         total[:] = 0.0
+        _directions(wave, circle, sign, aspect, ray)
         for k in range(count):
-            c1, s1, c2, s2 = circle[k, 0], circle[k, 1], circle[k, 2], circle[k, 3]
-            x = wave[0, 0] + wave[0, 1] * c1 + wave[0, 2] * s1 + wave[0, 3] * c2 + wave[0, 4] * s2
-            y = wave[1, 0] + wave[1, 1] * c1 + wave[1, 2] * s1 + wave[1, 3] * c2 + wave[1, 4] * s2
-            tx = wave[0, 2] * c1 - wave[0, 1] * s1 + 2.0 * (wave[0, 4] * c2 - wave[0, 3] * s2)
-            ty = wave[1, 2] * c1 - wave[1, 1] * s1 + 2.0 * (wave[1, 4] * c2 - wave[1, 3] * s2)
-            ty *= aspect  # square up the pixels: blur and edge are round on the sensor, not in a field's lines
-            scale = sign / math.sqrt(tx * tx + ty * ty)
-            nx, ny = ty * scale, -tx * scale
-            normal[i, k, 0], normal[i, k, 1] = nx, aspect * ny
-            ny /= aspect
+            x, y, nx, ny = ray[0, k], ray[1, k], ray[2, k], ray[3, k]
+            normal[i, k, 0], normal[i, k, 1] = nx, aspect * aspect * ny
             x0, x1 = x + offsets[0] * nx, x + offsets[last] * nx
             y0, y1 = y + offsets[0] * ny, y + offsets[last] * ny
             inside = min(x0, x1) >= 0.0 and max(x0, x1) < w - 1.01 and min(y0, y1) >= 0.0 and max(y0, y1) < h - 1.01
@@ -408,6 +407,22 @@ def _sample(
                     total[j] += grey[j]
         for j in range(SAMPLES):
             mean[i, j] = total[j] / max(seen, 1)
+
+
+@compiled
+def _directions(wave: Array, circle: Array, sign: float, aspect: float, ray: Array) -> None:
+    """Points of a projected circle and its normals there, rows x, y, nx, ny: one px of x along them is one px long.
+
+    The normal is that on the sensor: blur and edge are round there, not in a field's lines.
+    """
+    for k in range(circle.shape[1]):
+        c1, s1, c2, s2 = circle[0, k], circle[1, k], circle[2, k], circle[3, k]
+        ray[0, k] = wave[0, 0] + wave[0, 1] * c1 + wave[0, 2] * s1 + wave[0, 3] * c2 + wave[0, 4] * s2
+        ray[1, k] = wave[1, 0] + wave[1, 1] * c1 + wave[1, 2] * s1 + wave[1, 3] * c2 + wave[1, 4] * s2
+        tx = wave[0, 2] * c1 - wave[0, 1] * s1 + 2.0 * (wave[0, 4] * c2 - wave[0, 3] * s2)
+        ty = aspect * (wave[1, 2] * c1 - wave[1, 1] * s1 + 2.0 * (wave[1, 4] * c2 - wave[1, 3] * s2))
+        scale = sign / math.sqrt(tx * tx + ty * ty)
+        ray[2, k], ray[3, k] = ty * scale, -tx * scale / aspect
 
 
 @compiled

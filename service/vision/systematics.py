@@ -33,6 +33,8 @@ says anything."""
 BIAS_FLOOR, BIAS_NOISE = np.array([0.01, 0.01, 0.05, 0.3]), np.array([0.1, 0.1, 0.7, 7.0])
 """What the correction leaves, measured on truth: at the least, and more per mm (the light's part: px) of the centres'
 usual noise."""
+FORGOTTEN = 0.8
+"""Part of the earlier pictures' information that goes on to the next."""
 UNSEEN = 1e-3
 """Fields that the solution takes up all but this part of tell nothing."""
 
@@ -41,25 +43,27 @@ UNSEEN = 1e-3
 class EdgeBias:
     """What light does to all edges of a picture in common.
 
-    Lit bore walls and glints on weld beads move every edge alike (`shift_px`) and outwards or inwards with the angle of
-    view, just as if all rims lay `depth_mm` deeper, or with the light's own slope. No residual of the pose shows it.
+    Lit bore walls and glints on weld beads move every edge alike, and outwards or inwards with the angle of view, just
+    as if all rims lay deeper, or with the light's own slope. No residual of the pose shows it.
 
     Attributes
     ----------
-    shift_px, depth_mm, light
-        The estimate; `light` in units of `Rims.light_px`.
+    values
+        (4,) shift x and y (px), depth (mm), light (in units of `Rims.light_px`).
+    information
+        (4, 4) that the pictures gave.
     covariance
-        (4, 4) of (x px, y px, depth mm, light): what remains unknown of it.
+        (4, 4): what remains unknown of the values, with what the estimate itself may be wrong by.
     """
 
-    shift_px: NDArray[np.float64]
-    depth_mm: float
-    light: float
+    values: NDArray[np.float64]
+    information: NDArray[np.float64]
     covariance: NDArray[np.float64]
 
     def of(self, place: Array, light_px: Array) -> Array:
         """The shift of each edge, (n, 2) px."""
-        return np.asarray(self.shift_px + self.depth_mm * place[:, :, 2] + self.light * light_px, np.float64)
+        x, y, depth, light = self.values
+        return np.asarray(np.array([x, y]) + depth * place[:, :, 2] + light * light_px, np.float64)
 
     def variance_px2(self, place: Array) -> Array:
         """What remains unknown of shift and depth at each place, (n,) px^2 per axis; the light is in the pose's."""
@@ -69,39 +73,51 @@ class EdgeBias:
         return np.asarray(np.einsum("nij,jk,nik->n", B, self.covariance[:3, :3], B) / 2, np.float64)
 
 
-def edge_bias(rims: Rims, used: NDArray[np.bool_], place: Array) -> EdgeBias:
-    """What the edges have in common, as the difference between whole edges and their feet on the clearest tubes."""
+def edge_bias(rims: Rims, used: NDArray[np.bool_], place: Array, before: EdgeBias | None) -> EdgeBias:
+    """What the edges have in common, as the difference between whole edges and their feet on the clearest tubes.
+
+    It changes slowly: what the picture `before` knew of it counts for as much as FORGOTTEN leaves.
+    """
     scale = median_of(np.hypot(place[used, 0, 0], place[used, 0, 1]))
     units = np.array([scale, scale, 1.0, 1.0])
-    prior = (BIAS_PRIOR * units) ** -2.0
+    prior, mean = np.diag((BIAS_PRIOR * units) ** -2.0), np.zeros(4)
+    most = MOST_FEET
+    if before is not None:
+        prior, mean, most = prior + FORGOTTEN * before.information, before.values, MOST_FEET // 3
     noise_px = median_of(np.sqrt((rims.covariance_px[used, 0] + rims.covariance_px[used, 2]) / 2))
     rest = BIAS_FLOOR + BIAS_NOISE * np.array([1.0, 1.0, 1.0, scale]) * (noise_px / scale)
     floor = np.diag((rest * units) ** 2)
     which = np.flatnonzero(used)
-    which = which[:: len(which) // MOST_FEET + 1]
+    which = which[:: len(which) // most + 1]
     shift, covariance, quality = solve_feet(rims, which)
     good = (quality[:, 0] > BIAS_STRENGTH) & (quality[:, 1] > BIAS_RAYS)
     if good.sum() < BIAS_TUBES:
-        return EdgeBias(np.zeros(2), 0.0, 0.0, np.diag(1.0 / prior) + floor)
+        return EdgeBias(mean, prior, _inverse(prior) + floor)
     which = which[good]
     b, N = _common(
         rims.shift_px[which] - shift[good], place[which, :, 2], rims.light_px[which],
-        1.0 / (covariance[good, 0] + covariance[good, 2]), prior,
+        1.0 / (covariance[good, 0] + covariance[good, 2]), prior, mean,
     )  # fmt: skip
-    return EdgeBias(b[:2], float(b[2]), float(b[3]), np.asarray(np.linalg.inv(N) + floor, np.float64))
+    return EdgeBias(b, N, _inverse(N) + floor)
+
+
+def _inverse(information: Array) -> Array:
+    return np.asarray(np.linalg.inv(information), np.float64)
 
 
 @compiled
-def _common(difference: Array, depth: Array, light: Array, information: Array, prior: Array) -> tuple[Array, Array]:
+def _common(
+    difference: Array, depth: Array, light: Array, information: Array, prior: Array, mean: Array
+) -> tuple[Array, Array]:
     """Fit ``difference = shift + depth * b2 + light * b3`` by Tukey's biweight; b (4,) and its information (4, 4)."""
     n = difference.shape[0]
-    b = np.zeros(4)
+    b = mean.copy()
     N, row = np.zeros((4, 4)), np.zeros(4)
     stray = np.empty(2 * n)
     spread = math.inf
     for _ in range(5):
-        N[:] = np.diag(prior)
-        y = np.zeros(4)
+        N[:] = prior
+        y = prior @ mean
         for i in range(n):
             for axis in range(2):
                 row[0], row[1] = 1.0 - axis, 1.0 * axis

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from service.vision.pose import Fit
     from service.vision.refinement import Refined
     from service.vision.stopwatch import Stopwatch
+    from service.vision.systematics import EdgeBias
 
     Array: TypeAlias = NDArray[np.float64]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
@@ -35,15 +36,13 @@ __all__ = ["Seen", "Tracker"]
 START_WIDTH = 0.2
 """Width of the edge that is looked for about a rough pose, in rim radii."""
 ACQUIRE_PASSES = 5
-TRACK_PASSES = 2
+TRACK_PASSES = 3
 TRIES = 3
 """Candidates that are refined before a picture is given up."""
 CERTAIN_SHARE = 0.4
 """A candidate that shows this share of its tubes needs no comparison with others."""
 KEPT_SHARE = 0.5
 """A pose whose share of measured tubes falls below this part of the last one is looked at again."""
-FIRST_PASS = 64
-"""Tubes that the first pass over a tracked picture measures."""
 SAFE_GAP = 0.2
 """Pitches off the expected place from which a neighbouring tube may be meant."""
 UNSEEN_S = 0.1
@@ -90,6 +89,7 @@ class Tracker:
         self.motion: Motion | None = None
         self._estimate = camera
         self._profile: EdgeProfile | None = None
+        self._bias: EdgeBias | None = None
         self._radius_px: float | None = None
         self._share = 0.0
         self._doubt = False
@@ -160,7 +160,7 @@ class Tracker:
         rotation, translation = self.motion.at(time_ns)
         refined = refine(
             image, start, self.lattice, prior, rotation, translation, self._profile, passes=TRACK_PASSES, watch=watch,
-            first=FIRST_PASS, parity=parity,
+            bias=self._bias, parity=parity,
         )  # fmt: skip
         if not self._holds(refined):
             shifted = search_shift(image, start.vector(), rotation, translation, self.lattice)
@@ -222,7 +222,7 @@ class Tracker:
             self.motion = self.motion.moved_to(fit.rotation, fit.translation_mm, time_ns, anchor)
         share = float(refined.used.mean())
         self._share += (SMOOTH if self._share else 1.0) * (share - self._share)
-        self._profile = refined.profile
+        self._profile, self._bias = refined.profile, refined.bias
         self._estimate = fit.camera.of_frame(self.camera, parity)
         depth = float(fit.rotation[2, :2] @ anchor + fit.translation_mm[2])
         self._radius_px = self.lattice.rim_radius_mm * float(fit.camera.vector()[0]) / depth
