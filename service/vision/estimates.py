@@ -57,7 +57,9 @@ def _pose(refined: Refined, lattice: Lattice, camera: Camera, parity: int | None
     fit = refined.fit
     R, t = fit.rotation, fit.translation_mm
     out = np.empty(4)
-    covariance = _pose_sigmas(fit.covariance, refined.bias.covariance, R, t, fit.pivot_mm, fit.camera.vector(), out)
+    covariance = _pose_sigmas(
+        fit.covariance, refined.common.bias.covariance, R, t, fit.pivot_mm, fit.camera.vector(), out
+    )
     distance = float(R[:, 2] @ t)
     pitch = distance * lattice.pitch_sigma_mm / lattice.pitch_mm
     k = 6 + fit.names.index("focal_length_mm") if "focal_length_mm" in fit.names else None
@@ -127,11 +129,12 @@ def _posterior(refined: Refined, lattice: Lattice) -> tuple[Array, Array]:
     )  # fmt: skip
     J = np.ascontiguousarray(J[:, :, [*range(6), *(6 + PARAMETERS.index(name) for name in fit.names)]])
     center, variance = np.empty((n, 2)), np.empty(n)
+    misfit = refined.common.misfit.variance_px2(px, refined.shape)
     _combine(
         px, J, place, fit.covariance, refined.used, refined.center_px, refined.rims.covariance_px,
-        lattice.scatter_mm**2, lattice.height_scatter_mm**2, refined.misfit.variance_px2, center, variance,
+        lattice.scatter_mm**2, lattice.height_scatter_mm**2, misfit, center, variance,
     )  # fmt: skip
-    return center, np.sqrt(variance + refined.bias.variance_px2(place))
+    return center, np.sqrt(variance + refined.common.bias.variance_px2(place))
 
 
 @compiled

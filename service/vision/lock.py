@@ -66,9 +66,9 @@ def prove(image: Image, refined: Refined, lattice: Lattice) -> Proof:
     found = 0
     for offset in between:
         places = refined.sites.sheet_mm[refined.used] + offset
-        rims = measure_rims(image, vector, fit.rotation, fit.translation_mm, places, lattice, refined.profile)
+        rims = measure_rims(image, vector, fit.rotation, fit.translation_mm, places, lattice, refined.common.profile)
         alike = (rims.gain > ALIKE * gain) & (rims.bore < bore + (1 - ALIKE) * gain)  # as dark as the tube beside it
-        found = max(found, int((accepted(rims, refined.profile.width_px, usual) & alike).sum()))
+        found = max(found, int((accepted(rims, refined.common.profile.width_px, usual) & alike).sum()))
     decoys = found / measured
     return Proof(share, decoys, _reason(refined, lattice, measured, share, decoys))
 
@@ -83,6 +83,6 @@ def _reason(refined: Refined, lattice: Lattice, measured: int, share: float, dec
         return "the pattern does not fit the tube lattice"
     if refined.fit.scatter_factor > MOST_STRAY:
         return "tube centres do not fit the lattice"
-    if abs(refined.profile.position_px) > MOST_OFFSET * radius_px:
+    if abs(refined.common.profile.position_px) > MOST_OFFSET * radius_px:
         return "tube ends are not of the expected size"
     return None

@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from service.vision.camera import Camera
+    from service.vision.view import View
 
 __all__ = ["Doubt", "Lock", "Measurement", "Origin", "Pose", "PoseSigma", "TubeState", "Tubes", "angles_deg"]
 
@@ -169,6 +170,8 @@ class Measurement:
         When this picture was exposed: the frame's time, or half a frame later for its second field.
     elapsed_ms
         What each stage took: "detect", "lattice", "pose", ..., "total".
+    view
+        What the rims themselves said; None without a pose.
     """
 
     field: str
@@ -179,3 +182,4 @@ class Measurement:
     pose: Pose | None
     time_ns: int
     elapsed_ms: dict[str, float] = dataclass_field(default_factory=dict)
+    view: View | None = None

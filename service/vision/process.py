@@ -16,6 +16,7 @@ from service.vision.measurement import Doubt, Lock, Measurement, Tubes
 from service.vision.projection import project
 from service.vision.stopwatch import Stopwatch
 from service.vision.tracking import Tracker
+from service.vision.view import View
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -156,7 +157,8 @@ class Measurer:
         doubt = doubts(found, found.refined, pose, self._lattice)
         lock = Lock.PARTIAL if doubt else Lock.FULL
         watch.lap("pose")
-        return Measurement(name, lock, None, doubt, tubes, pose, time_ns, watch.elapsed_ms())
+        view = View.of(found.refined)
+        return Measurement(name, lock, None, doubt, tubes, pose, time_ns, watch.elapsed_ms(), view)
 
 
 def doubts(seen: Seen, refined: Refined, pose: Pose, lattice: Lattice) -> tuple[Doubt, ...]:
@@ -165,7 +167,7 @@ def doubts(seen: Seen, refined: Refined, pose: Pose, lattice: Lattice) -> tuple[
     found = {
         Doubt.INDEX: seen.index_in_doubt,
         Doubt.SCALE: pose.sigma.distance_mm > UNSURE_SCALE * pose.distance_mm,
-        Doubt.FOCUS: refined.profile.width_px > max(BLURRED * radius, BLURRED_PX),
+        Doubt.FOCUS: refined.common.profile.width_px > max(BLURRED * radius, BLURRED_PX),
         Doubt.LIGHT: refined.used.mean() < DIM_SHARE,
         Doubt.CALIBRATION: refined.fit.scatter_factor > STALE,
     }

@@ -19,7 +19,7 @@ from service.vision.rims import (
 )
 from service.vision.sites import Sites, sites_in_picture
 from service.vision.states import tube_states
-from service.vision.systematics import edge_bias, smooth_misfit
+from service.vision.systematics import Common, edge_bias, smooth_misfit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from service.vision.lattice import Lattice
     from service.vision.pose import Prior
     from service.vision.stopwatch import Stopwatch
-    from service.vision.systematics import EdgeBias, Misfit
 
     Array: TypeAlias = NDArray[np.float64]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
@@ -62,20 +61,18 @@ class Refined:
         What they showed, about the pose before the last solution.
     center_px
         (n, 2) measured centres, corrected for the edges' bias.
-    used
-        (n,) whether the tube was measured and agrees with its neighbours.
+    measured, used
+        (n,) whether the tube was measured, and whether it also agrees with its neighbours.
     fit
         The solution.
     predicted_px, place
         (n, 2) and (n, 2, 3): projection under `fit`, and its derivative by the tube's own place, px per mm.
-    profile
-        How edges look here.
-    bias
-        What the light was found to shift in common.
-    misfit
-        What is smooth in the residuals; it is in the covariance of `fit`.
+    common
+        How edges look here, what the light shifts in common, what is smooth in the residuals.
     state
         (n,) uint8 of `TubeState`.
+    shape
+        The picture's height and width.
     parity
         0 or 1 where the picture was the top or bottom field, None for a frame.
     """
@@ -83,14 +80,14 @@ class Refined:
     sites: Sites
     rims: Rims
     center_px: NDArray[np.float64]
+    measured: NDArray[np.bool_]
     used: NDArray[np.bool_]
     fit: Fit
     predicted_px: NDArray[np.float64]
     place: NDArray[np.float64]
-    profile: EdgeProfile
-    bias: EdgeBias
-    misfit: Misfit
+    common: Common
     state: NDArray[np.uint8]
+    shape: tuple[int, ...]
     parity: int | None
 
     def shifted(self, row: int, column: int, lattice: Lattice) -> Refined:
@@ -112,7 +109,8 @@ def refine(
     *,
     passes: int,
     watch: Stopwatch,
-    bias: EdgeBias | None = None,
+    before: Common | None = None,
+    afresh: bool = True,
     parity: int | None = None,
 ) -> Refined | None:
     """Measure all tubes in the picture and solve for the pose, until it stands still; None where too few are seen.
@@ -128,8 +126,10 @@ def refine(
     passes
         How often to measure at the most. A pass whose tubes lay where they were expected, under a profile as narrow as
         the edges are, is the last.
-    bias
-        What the edges of the picture before had in common.
+    before
+        What the picture before had in common.
+    afresh
+        Whether to find that anew, going on from `before`, rather than to take it as it was.
     parity
         0 or 1 where the picture is the top or bottom field, None for a frame: passed through.
     """
@@ -139,12 +139,13 @@ def refine(
         if looked is None:
             return None
         sites, rims, used = looked
-        narrow = _narrowed(profile_of(rims), profile)
-        moved = max(abs(float(m)) for m in np.median(rims.shift_px[used], axis=0))
+        as_before = before is not None and not afresh
+        narrow = profile if as_before else _narrowed(profile_of(rims), profile)
+        moved = max(abs(median_of(rims.shift_px[used, 0])), abs(median_of(rims.shift_px[used, 1])))
         steady = moved < SETTLED * profile.width_px and narrow.width_px > profile.width_px * STEADY_WIDTH
         if step == passes - 1 or steady:
             refined = _solved(
-                *looked, narrow, image.shape, camera, lattice, prior, rotation, translation_mm, bias, parity
+                *looked, narrow, image.shape, camera, lattice, prior, rotation, translation_mm, before, afresh, parity
             )
             watch.lap("pose")
             return refined
@@ -172,24 +173,27 @@ def _look(
 
 def _solved(
     sites: Sites, rims: Rims, used: NDArray[np.bool_], profile: EdgeProfile, shape: tuple[int, ...], camera: Camera,
-    lattice: Lattice, prior: Prior, rotation: Array, translation_mm: Array, bias: EdgeBias | None, parity: int | None,
+    lattice: Lattice, prior: Prior, rotation: Array, translation_mm: Array, before: Common | None, afresh: bool,
+    parity: int | None,
 ) -> Refined:  # fmt: skip
     """The last solution: without what the edges have in common, and with what is not known of it in its covariance."""
     _, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
-    bias = edge_bias(rims, used, place, bias)
+    known = None if before is None else before.bias
+    bias = edge_bias(rims, used, place, known) if known is None or afresh else known
     center = rims.center_px - bias.of(place, rims.light_px)
     fit = fit_pose(
         sites.sheet_mm[used], center[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice, prior
     )
     predicted, place = projected(fit.camera, fit.rotation, fit.translation_mm, sites.sheet_mm)
+    misfit = smooth_misfit(fit, predicted[used], shape) if before is None or afresh else before.misfit
     light = fit.response(rims.light_px[used] * math.sqrt(bias.covariance[3, 3]))
-    misfit = smooth_misfit(fit, predicted[used], (shape[1], shape[0]), predicted)
     fit = replace(fit, covariance=fit.covariance + np.outer(light, light) + misfit.covariance)
     agreeing = used.copy()
     agreeing[np.flatnonzero(used)[fit.weight <= 0]] = False
     return Refined(
-        sites=sites, rims=rims, center_px=center, used=agreeing, fit=fit, predicted_px=predicted, place=place,
-        profile=profile, bias=bias, misfit=misfit, state=tube_states(sites, rims, agreeing), parity=parity,
+        sites=sites, rims=rims, center_px=center, measured=used, used=agreeing, fit=fit, predicted_px=predicted,
+        place=place,
+        common=Common(profile, bias, misfit), state=tube_states(sites, rims, agreeing), shape=shape, parity=parity,
     )  # fmt: skip
 
 

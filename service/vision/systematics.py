@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from service.vision.pose import Fit
-    from service.vision.rims import Rims
+    from service.vision.rims import EdgeProfile, Rims
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["EdgeBias", "Misfit", "edge_bias", "smooth_misfit"]
+__all__ = ["Common", "EdgeBias", "Misfit", "edge_bias", "smooth_misfit"]
 
 BIAS_STRENGTH = 6.0
 BIAS_TUBES = 8
@@ -152,33 +152,34 @@ class Misfit:
         One sigma of the coefficient of each smooth field: second-order polynomials over half the picture.
     covariance
         (6 + k, 6 + k): what such fields do to the solution, which takes up its share of them unseen.
-    variance_px2
-        (n,) what they do to the place of each centre, per axis.
     """
 
     sigma_px: float
     covariance: NDArray[np.float64]
-    variance_px2: NDArray[np.float64]
+
+    def variance_px2(self, center_px: Array, shape: tuple[int, ...]) -> Array:
+        """What the fields do to centres, (n, 2), of a picture of that shape: (n,) per axis."""
+        h, w = shape[:2]
+        x2, y2 = (center_px[:, 0] / (0.5 * w) - 1.0) ** 2, (center_px[:, 1] / (0.5 * h) - 1.0) ** 2
+        return np.asarray(self.sigma_px**2 * (1.0 + x2 + y2 + x2 * x2 + x2 * y2 + y2 * y2))  # the fields' squares
 
 
-def smooth_misfit(fit: Fit, center_px: Array, size_px: tuple[int, int], everywhere_px: Array) -> Misfit:
+def smooth_misfit(fit: Fit, center_px: Array, shape: tuple[int, ...]) -> Misfit:
     """Measure the smooth part of the residuals that the solution could not take up, and infer the part that it could.
 
-    Smooth fields (polynomials of second order) are fitted to the residuals. What they explain beyond chance tells
-    their size; the solution is then as wrong as fields of that size would make it.
+    Smooth fields are fitted to the residuals. What they explain beyond chance tells their size; the solution is then
+    as wrong as fields of that size would make it.
 
     Parameters
     ----------
     center_px
         (n, 2) predicted centres of the solution's points.
-    size_px
-        The picture's width and height.
-    everywhere_px
-        (m, 2) centres whose `variance_px2` is asked for.
+    shape
+        The picture's height and width.
     """
     scale = max(1.0, fit.scatter_factor**2)
     seen, cross, pull = _smooth_sums(
-        center_px, size_px[0], size_px[1], fit.information, fit.weight, fit.residual_px, fit.gradient
+        center_px, shape[1], shape[0], fit.information, fit.weight, fit.residual_px, fit.gradient
     )
     response = fit.covariance @ cross / scale
     seen -= cross.T @ response
@@ -186,15 +187,7 @@ def smooth_misfit(fit: Fit, center_px: Array, size_px: tuple[int, int], everywhe
     clear = eigen > UNSEEN * eigen[-1]
     explained = float(np.sum((vectors.T @ pull)[clear] ** 2 / eigen[clear])) / scale
     variance = max(0.0, (explained - float(clear.sum())) / float(eigen[clear].sum()) * scale)
-    x, y = _centred(everywhere_px, size_px)
-    here = variance * (1.0 + x * x + y * y + x**4 + (x * y) ** 2 + y**4)  # the fields' squares, summed
-    return Misfit(variance**0.5, np.asarray(variance * response @ response.T, np.float64), here)
-
-
-def _centred(points_px: Array, size_px: tuple[int, int]) -> tuple[Array, Array]:
-    """Picture points in half widths and half heights from the middle."""
-    w, h = size_px
-    return (points_px[:, 0] - 0.5 * w) / (0.5 * w), (points_px[:, 1] - 0.5 * h) / (0.5 * h)
+    return Misfit(variance**0.5, np.asarray(variance * response @ response.T, np.float64))
 
 
 @compiled
@@ -230,3 +223,12 @@ def _smooth_sums(
                 cross[k, p] += jx * f[p]
                 cross[k, 6 + p] += jy * f[p]
     return seen, cross, pull
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Common:
+    """What changes slowly from picture to picture: it need not be found anew on each."""
+
+    profile: EdgeProfile
+    bias: EdgeBias
+    misfit: Misfit

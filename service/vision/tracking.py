@@ -15,7 +15,7 @@ from service.vision.lock import LEAST_TUBES, MOST_STRAY, Proof, prove
 from service.vision.motion import Motion, aligned, centred, looked_at
 from service.vision.pose import prior_of
 from service.vision.refinement import refine
-from service.vision.rims import EdgeProfile, start_profile
+from service.vision.rims import start_profile
 from service.vision.search import search_shift
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from service.vision.pose import Fit
     from service.vision.refinement import Refined
     from service.vision.stopwatch import Stopwatch
-    from service.vision.systematics import EdgeBias
+    from service.vision.systematics import Common
 
     Array: TypeAlias = NDArray[np.float64]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
@@ -49,6 +49,10 @@ UNSEEN_S = 0.1
 """Time without a pose beyond which the sheet's travel counts."""
 SUSPICIOUS = 5.0
 """Margin (natural logarithm) from which a better fit elsewhere puts the index in doubt."""
+AFRESH = 5
+"""So many pictures in which what changes slowly is found anew once; odd, so that both fields have their turn."""
+CHECK_EVERY = 3
+"""So many pictures in which the index is compared with the map once."""
 SMOOTH = 0.2
 """How fast the running figures follow a new picture."""
 
@@ -88,8 +92,8 @@ class Tracker:
         self.camera, self.lattice = camera, lattice
         self.motion: Motion | None = None
         self._estimate = camera
-        self._profile: EdgeProfile | None = None
-        self._bias: EdgeBias | None = None
+        self._common: Common | None = None
+        self._pictures = 0
         self._radius_px: float | None = None
         self._share = 0.0
         self._doubt = False
@@ -139,6 +143,10 @@ class Tracker:
 
     def _settled(self, refined: Refined) -> Refined:
         """Compare a picture with the map of what it shows: a slip is mended where that is beyond doubt."""
+        self._pictures += 1
+        if not self._doubt and self._pictures % CHECK_EVERY:
+            self._map.learn(refined)
+            return refined
         verdict = self._map.compare(refined, WIDE if self._doubt else NEAR)
         if verdict is not None and verdict.decisive:
             self._doubt = False
@@ -154,13 +162,13 @@ class Tracker:
         self, image: Image, known: Camera, start: Camera, parity: int | None, time_ns: int, watch: Stopwatch
     ) -> Seen | None:
         """Measure about the predicted pose, then about the best shift of it; None where the sheet is not there."""
-        if self.motion is None or self._profile is None or self._radius_px is None:
+        if self.motion is None or self._common is None or self._radius_px is None:
             return None
         prior = prior_of(known, start.focal_length_mm)
         rotation, translation = self.motion.at(time_ns)
         refined = refine(
-            image, start, self.lattice, prior, rotation, translation, self._profile, passes=TRACK_PASSES, watch=watch,
-            bias=self._bias, parity=parity,
+            image, start, self.lattice, prior, rotation, translation, self._common.profile, passes=TRACK_PASSES,
+            watch=watch, before=self._common, afresh=self._pictures % AFRESH == 0, parity=parity,
         )  # fmt: skip
         if not self._holds(refined):
             shifted = search_shift(image, start.vector(), rotation, translation, self.lattice)
@@ -222,7 +230,7 @@ class Tracker:
             self.motion = self.motion.moved_to(fit.rotation, fit.translation_mm, time_ns, anchor)
         share = float(refined.used.mean())
         self._share += (SMOOTH if self._share else 1.0) * (share - self._share)
-        self._profile, self._bias = refined.profile, refined.bias
+        self._common = refined.common
         self._estimate = fit.camera.of_frame(self.camera, parity)
         depth = float(fit.rotation[2, :2] @ anchor + fit.translation_mm[2])
         self._radius_px = self.lattice.rim_radius_mm * float(fit.camera.vector()[0]) / depth
