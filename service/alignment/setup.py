@@ -72,6 +72,8 @@ class GuideSetup:
         How many points it was fitted to.
     depth_mm
         How far apart these lie along the axis.
+    off_mm
+        How far off the axis each standing lies, at the worst of its points.
     """
 
     guide: GuideAxis
@@ -81,12 +83,17 @@ class GuideSetup:
     expected_mm: float
     points: int
     depth_mm: float
+    off_mm: Sequence[float]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Points:
-    """Points that the axis passes, n, in the camera frame, with what they share and what is their own."""
+    """Points that the axis passes, n, in the camera frame, with what they share and what is their own.
 
+    `of` is the number of the standing that each belongs to.
+    """
+
+    of: Sequence[int]
     labels: Sequence[str]
     place_mm: Array
     own: Array
@@ -116,6 +123,7 @@ def solve_guide(
     points = _points(standings, play_sigma_mm)
     frame = _frame(standings, points.place_mm)
     fit = _fit(points, frame)
+    off = np.hypot(*fit.residual_mm.reshape(-1, 2).T)
     setup = GuideSetup(
         guide=_guide(fit, frame, standings, points.shared, gap_mm, gap_sigma_mm),
         shift_sigma_mm=math.sqrt(float(np.trace(fit.covariance[:2, :2])) / 2),
@@ -124,6 +132,7 @@ def solve_guide(
         expected_mm=math.sqrt(float(np.mean(np.diag(fit.own)))),
         points=len(points.labels),
         depth_mm=float(np.ptp((points.place_mm - frame.middle_mm) @ frame.along)),
+        off_mm=[float(off[np.array(points.of) == i].max()) for i in range(len(standings))],
     )
     _check_known(setup, play_sigma_mm)
     return setup
@@ -179,14 +188,15 @@ def _points(standings: Sequence[Standing], play_sigma_mm: float) -> _Points:
 
     What is uncertain of a pose is taken for the same in all pictures: calibration does not average out.
     """
-    labels, place, response, blocks = [], [], [], []
-    for s in standings:
+    of, labels, place, response, blocks = [], [], [], [], []
+    for i, s in enumerate(standings):
         reach = [0.0, s.inserted_mm] if s.inserted_mm else [0.0]
         ends = [pose.rotation[:, :2] @ tube.center_mm + pose.translation_mm for pose, tube in s.views]
         normal = _unit(np.mean([pose.rotation[:, 2] for pose, _ in s.views], axis=0))
         pose, tube = s.views[0]
         end_covariance = pose.rotation[:, :2] @ tube.covariance @ pose.rotation[:, :2].T
         for length in reach:
+            of.append(i)
             labels.append(s.label)
             place.append(np.mean(ends, axis=0) + length * normal)
             response.append(np.hstack([-cross(length * normal), np.eye(3)]))
@@ -198,7 +208,7 @@ def _points(standings: Sequence[Standing], play_sigma_mm: float) -> _Points:
         own[at : at + len(block), at : at + len(block)] = block
         at += len(block)
     shared = np.mean([_at_tube(pose, tube) for s in standings for pose, tube in s.views], axis=0)
-    return _Points(labels, np.array(place), own, shared, np.vstack(response))
+    return _Points(of, labels, np.array(place), own, shared, np.vstack(response))
 
 
 def _at_tube(pose: Pose, tube: TubeEnd) -> Array:

@@ -122,6 +122,14 @@ def _number(text: str) -> float:
         raise argparse.ArgumentTypeError(f"{text!r} is no number") from None
 
 
+def _point(text: str) -> tuple[float, float]:
+    x, _, y = text.partition(",")
+    point = _number(x), _number(y)
+    if not all(map(math.isfinite, point)):
+        raise argparse.ArgumentTypeError(f"{text!r} must be X,Y in pixels")
+    return point
+
+
 def _whole(minimum: int, maximum: int) -> Callable[[str], int]:
     def read(text: str) -> int:
         if not text.isascii() or not text.isdigit() or not minimum <= int(text) <= maximum:
@@ -261,6 +269,40 @@ def _simulate(p: _Parser) -> None:
     p.add_argument("--frames", type=_whole(1, 100_000), default=125, help="its length")
 
 
+def _align_setup(p: _Parser) -> None:
+    p.add_argument("path", metavar="PATH", type=Path, help="a video, picture or folder with the guide over known tubes")
+    _generator(p, required=True)
+    p.add_argument("--camera", metavar="FILE", type=Path, required=True, help="camera file")
+    p.add_argument("--out", metavar="FILE", type=Path, required=True, help="guide file to write")
+    p.add_argument(
+        "--guide-px", metavar="X,Y", type=_point, help="where in the picture it points: the nearest tube is meant"
+    )
+    p.add_argument(
+        "--table",
+        metavar="FILE",
+        type=Path,
+        help='instead: lines of "FRAMES TUBE [INSERTED_MM]", such as 10-25 3,-2 40',
+    )
+    p.add_argument(
+        "--probe-diameter-mm", metavar="MM", type=_above_zero, help="outer diameter of what stands in the tubes"
+    )
+    p.add_argument("--play-sigma-mm", metavar="MM", type=_above_zero, help="instead: one sigma of its place, per axis")
+    p.add_argument(
+        "--inserted-mm",
+        metavar="MM",
+        type=_above_zero,
+        default=0.0,
+        help="how far it reaches, straight, into the tubes",
+    )
+    p.add_argument(
+        "--gap-mm", metavar="MM", type=_above_zero, help="from the guide's mouth to the sheet, as measured then"
+    )
+    p.add_argument("--gap-sigma-mm", metavar="MM", type=_above_zero, default=0.5, help="one sigma of that; default 0.5")
+    _anchors(p)
+    _field_order(p)
+    p.add_argument("--config", metavar="FILE", type=Path, help="station file: its [identity] names the tubes")
+
+
 def _devices(p: _Parser) -> None:
     p.add_argument("--json", action="store_true", help="for programs")
 
@@ -284,7 +326,12 @@ COMMANDS: dict[str, tuple[str, str, Callable[[_Parser], None]]] = {
         "--points points.dat --camera camera.toml --method full",
         _calibrate,
     ),
+    "align-setup": (
+        "measure where the guide is before the camera, from pictures with it over known tubes",
+        "setup.mkv --generator model-f --camera camera.toml --guide-px 320,260 --play-sigma-mm 0.3 --out guide.toml",
+        _align_setup,
+    ),
     "simulate": ("render a bowl video with its truth", "bowl.mkv --generator model-f --seed 7", _simulate),
     "devices": ("list the sources and devices of this machine", "", _devices),
 }
-"""Name: what it does, an example of its arguments, its options. Module `service.cli.NAME` runs it."""
+"""Name: what it does, an example of its arguments, its options. Module `service.cli.NAME` runs it, with _ for -."""

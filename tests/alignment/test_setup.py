@@ -28,9 +28,8 @@ def in_disc(rng, radius):
     return r * np.array([np.cos(angle), np.sin(angle)])
 
 
-def stand(rng, *, inserted_mm=0.0, distance_mm=950.0, pictures=1, label="frame 0", noise_px=0.05, over=None):
-    """A camera held so that the true axis enters a tube with play at its end, and at the depth that it reaches."""
-    seen = []
+def stood(rng, *, inserted_mm=0.0, distance_mm=950.0, pictures=1, noise_px=0.05):
+    """Measurements with the true axis in a tube, with play at its end and as deep as it reaches; and the tube's place."""
     R, t = random_pose(rng, distance_mm)
     places = places_in_view(CAMERA, LATTICE, R, t)
     tubes_mm = scattered(rng, LATTICE, places)
@@ -42,13 +41,15 @@ def stand(rng, *, inserted_mm=0.0, distance_mm=950.0, pictures=1, label="frame 0
     # Turn the camera so that the true axis lies along d of the sheet, then move it so that it passes the tube's end
     w = np.cross(R @ d, TRUE_AXIS)
     R = turned(w / np.linalg.norm(w) * np.arcsin(np.linalg.norm(w))) @ R
-    along = (distance_mm - 900.0) / TRUE_AXIS[2]
-    passes = TRUE_POINT + along * TRUE_AXIS
+    passes = TRUE_POINT + (distance_mm - 900.0) / TRUE_AXIS[2] * TRUE_AXIS
     t = passes - R @ np.array([*(tubes_mm[place][:2] + end), 0.0])
-    for _ in range(pictures):
-        m = measure(rng, CAMERA, LATTICE, R, t, places, tubes_mm, noise_px, CAMERA)
-        seen.append((m.pose, tube_end(m, over or place, LATTICE)))
-    return Standing(label, seen, inserted_mm)
+    return [measure(rng, CAMERA, LATTICE, R, t, places, tubes_mm, noise_px, CAMERA) for _ in range(pictures)], place
+
+
+def stand(rng, *, inserted_mm=0.0, label="frame 0", **how):
+    """A standing of the guide over a tube."""
+    seen, place = stood(rng, inserted_mm=inserted_mm, **how)
+    return Standing(label, [(m.pose, tube_end(m, place, LATTICE)) for m in seen], inserted_mm)
 
 
 def error_of(setup):

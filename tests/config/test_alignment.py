@@ -141,7 +141,7 @@ def test_a_written_guide_is_read_back(tmp_path, at_mouth):
     guide = guide_over(*random_pose(rng), (3, 4), (0.01, 0.02), covariance=covariance)
     guide = type(guide)(guide.point_mm, guide.direction, covariance, at_mouth)
     path = tmp_path / "guide.toml"
-    write_guide(path, GuideSetup(guide, 0.1, 0.1, 0.2, 0.2, 4, 60.0), "2026-01-01T00:00:00Z", "bowl.mp4", "lens")
+    write_guide(path, GuideSetup(guide, 0.1, 0.1, 0.2, 0.2, 4, 60.0, [0.1]), "2026-01-01T00:00:00Z", "bowl.mp4", "lens")
     read = read_guide(path)
     assert read.point_mm == pytest.approx(guide.point_mm, abs=1e-12)
     assert read.direction == pytest.approx(guide.direction, abs=1e-15)
