@@ -30,6 +30,8 @@ __all__ = [
     "tube_end",
 ]  # fmt: skip
 
+LEAST_OWN = 0.25
+"""Of a measured centre's variance, what is its own at the least."""
 LEAST_COSINE = 0.1
 """Of the angle between guide and tube: beyond 84 deg no guide is meant for this sheet."""
 
@@ -97,7 +99,7 @@ class TubeEnd:
     center_mm
         (2,) in the sheet frame.
     covariance
-        (2, 2) of `center_mm`.
+        (2, 2) of `center_mm`: of its own, what the pose adds is not in it.
     measured
         Whether it was seen in this picture; else it is where the lattice has it, with the tubes' scatter.
     """
@@ -199,9 +201,21 @@ def tube_end(measurement: Measurement, place: tuple[int, int], lattice: Lattice)
     by_height = mm_per_px @ by_place[0, :, 2] * lattice.height_scatter_mm
     gain = scatter @ np.linalg.inv(scatter + np.outer(by_height, by_height))
     center = nominal[0] + gain @ mm_per_px @ (tubes.center_px[i] - px[0])
-    spread = tubes.sigma_px[i] ** 2 * mm_per_px @ mm_per_px.T
+    spread = _own_variance_px2(pose, nominal[0], float(tubes.sigma_px[i])) * mm_per_px @ mm_per_px.T
     covariance = scatter - gain @ scatter + gain @ spread @ gain.T
     return TubeEnd(row, column, center, np.asarray((covariance + covariance.T) / 2), measured=True)
+
+
+def _own_variance_px2(pose: Pose, place_mm: Array, sigma_px: float) -> float:
+    """Variance per axis of a measured centre about where the pose has it: `Tubes.sigma_px` has the pose's share in it.
+
+    That share is how sure the place is across the view; along it, an unknown focal length hides what moves no pixel.
+    """
+    to_place = pose.rotation[:, :2] @ place_mm
+    by_pose = np.hstack([-cross(to_place), np.eye(3)])[:2]
+    px_per_mm = pose.camera.vector()[0] / (to_place + pose.translation_mm)[2]
+    of_pose = float(np.trace(by_pose @ pose.covariance @ by_pose.T)) / 2 * px_per_mm**2
+    return float(max(sigma_px**2 - of_pose, LEAST_OWN * sigma_px**2))
 
 
 def compare(pose: Pose, lattice: Lattice, geometry: StationGeometry, tube: TubeEnd) -> Lean | None:
@@ -215,15 +229,15 @@ def compare(pose: Pose, lattice: Lattice, geometry: StationGeometry, tube: TubeE
     if not d[2] > LEAST_COSINE:
         return None
     s = d[:2] / d[2]
-    by_pose, by_guide = _by_pose_and_guide(R, t, guide)
     chain = _by_line(m, d)
+    by_pose, by_guide = (chain @ by for by in _by_pose_and_guide(R, t, guide))
     by_pitch = chain[:, :3] @ (-R.T @ t) - np.concatenate([tube.center_mm, np.zeros(3)])
     pitch = lattice.pitch_sigma_mm / lattice.pitch_mm
     of_tube = np.zeros((5, 5))
     of_tube[:2, :2] = tube.covariance
     parts = {
-        "pose": chain @ by_pose @ pose.covariance @ (chain @ by_pose).T,
-        "guide": chain @ by_guide @ guide.covariance @ (chain @ by_guide).T,
+        "pose": by_pose @ pose.covariance @ by_pose.T,
+        "guide": by_guide @ guide.covariance @ by_guide.T,
         "tube": of_tube,
         "pitch": np.outer(by_pitch, by_pitch) * pitch**2,
     }

@@ -79,8 +79,8 @@ def arm_slope(measurement: Measurement, lattice: Lattice, geometry: StationGeome
 def frame_covariance(pose: Pose, tubes: Tubes, lattice: Lattice) -> Array:
     """What of a pose's covariance, (6, 6), is new in its picture: the noise of the measured centres.
 
-    A centre's posterior variance v is s c / (s + c), s being the tubes' scatter and c its noise; so the noise's share
-    of what the solution weighs it with, s + c, is v / s.
+    A centre's own posterior variance v, without what the pose adds, is s c / (s + c), s being the tubes' scatter and c
+    its noise; so the noise's share of what the solution weighs it with, s + c, is v / s.
     """
     used = tubes.origin == Origin.MEASURED
     n = int(used.sum())
@@ -92,7 +92,8 @@ def frame_covariance(pose: Pose, tubes: Tubes, lattice: Lattice) -> Array:
     linearise(pose.camera.vector(), 1.0, 1.0, pose.rotation, t, t, sheet, 6, px, J, place)
     of_place = np.array([lattice.scatter_mm, lattice.scatter_mm, lattice.height_scatter_mm])
     scatter = (place**2 @ of_place**2).mean(axis=1)
-    share = np.clip(tubes.sigma_px[used] ** 2 / scatter, 0.0, 0.98)
+    of_pose = np.einsum("nki,ij,nkj->n", J, pose.covariance, J) / 2
+    share = np.clip((tubes.sigma_px[used] ** 2 - of_pose) / scatter, 0.0, 0.98)
     weight = (1 - share) / scatter
     N = np.einsum("nki,nkj->nij", J, J)
     inverse = np.linalg.inv(np.einsum("n,nij->ij", weight, N))

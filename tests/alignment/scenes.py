@@ -110,13 +110,15 @@ def measure(rng, camera, lattice, R, t, places, tubes_mm, noise_px, known, time_
     S = S + place[:, :, 2:] @ place[:, :, 2:].transpose(0, 2, 1) * lattice.height_scatter_mm**2
     gain = S @ np.linalg.inv(S + noise_px**2 * np.eye(2))
     center = np.where(used[:, None], px + np.einsum("nij,nj->ni", gain, seen_px - px), px)
-    sigma = np.sqrt(np.einsum("nii->n", gain) / 2 * noise_px**2)
-    predicted = np.einsum("nij,jk,nik->ni", J, about_origin, J).mean(axis=1)
+    predicted = _predicted(fit, nominal)
+    rest = np.eye(2) - gain
+    variance = np.einsum("nii->n", gain) / 2 * noise_px**2
+    variance += np.einsum("nij,njk,nik->n", rest, predicted, rest) / 2
     tubes = Tubes(
         rows.astype(np.int32),
         columns.astype(np.int32),
         center,
-        np.where(used, sigma, np.sqrt(predicted)),
+        np.sqrt(np.where(used, variance, np.einsum("nii->n", predicted) / 2)),
         np.where(used, Origin.MEASURED, Origin.INFERRED).astype(np.uint8),
         np.where(used, TubeState.OPEN, TubeState.UNKNOWN).astype(np.uint8),
     )
@@ -125,6 +127,15 @@ def measure(rng, camera, lattice, R, t, places, tubes_mm, noise_px, known, time_
         fit.rotation, fit.translation_mm, fit.camera, about_origin, PoseSigma(0.1, 0.1, 0.01, 0.02, float(f_sigma)), 0.1
     )
     return Measurement("progressive", Lock.FULL, None, (), tubes, pose, time_ns)
+
+
+def _predicted(fit, nominal):
+    """Covariance of projected places, (n, 2, 2) px^2, with that of an estimated focal length in it."""
+    n, f = len(nominal), fit.camera.focal_length_mm
+    px, J, place = np.empty((n, 2)), np.empty((n, 2, 16)), np.empty((n, 2, 3))
+    linearise(fit.camera.vector(), f, 1.0, fit.rotation, fit.translation_mm, fit.pivot_mm, nominal, 16, px, J, place)
+    J = J[:, :, : 6 + len(fit.names)]
+    return np.einsum("nij,jk,nlk->nil", J, fit.covariance, J)
 
 
 def scattered(rng, lattice, places, pitch=1.0):

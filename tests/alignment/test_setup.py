@@ -29,7 +29,7 @@ def in_disc(rng, radius):
 
 
 def stood(rng, *, inserted_mm=0.0, distance_mm=950.0, pictures=1, noise_px=0.05):
-    """Measurements with the true axis in a tube, with play at its end and as deep as it reaches; and the tube's place."""
+    """Measurements with the true axis in a tube, with play at its end and where it reaches to; and the place."""
     R, t = random_pose(rng, distance_mm)
     places = places_in_view(CAMERA, LATTICE, R, t)
     tubes_mm = scattered(rng, LATTICE, places)
