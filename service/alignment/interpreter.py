@@ -9,8 +9,9 @@ if TYPE_CHECKING:
 
     from service.alignment.aligner import Aligner
     from service.alignment.result import Alignment
+    from service.identity.anchors import NamedLattice
     from service.identity.namer import TubeNamer
-    from service.vision.measurement import Measurement
+    from service.vision.measurement import Measurement, Tubes
 
 __all__ = ["Interpreter"]
 
@@ -29,6 +30,8 @@ class Interpreter:
     def __init__(self, namer: TubeNamer, aligner: Aligner | None) -> None:
         self.namer, self.aligner = namer, aligner
         self._generation: int | None = None
+        self._named: NamedLattice | None = None
+        self._told: dict[tuple[int, int], str | None] = {}
 
     def read(
         self, measurement: Measurement, generation: int, *, fresh: bool = True
@@ -47,11 +50,19 @@ class Interpreter:
             if self.aligner is not None:
                 self.aligner.reset()
         named = self.namer.update(measurement, generation)
-        names: Sequence[str | None] = ()
-        if named is not None:
-            tubes = measurement.tubes
-            names = [None if n is None else str(n) for n in named.names_of(tubes.row, tubes.column)]
+        names: Sequence[str | None] = () if named is None else self._texts(named, measurement.tubes)
         if self.aligner is None:
             return names, None
         now_ns = measurement.time_ns
         return names, self.aligner.update(measurement, named, now_ns, generation=generation, fresh=fresh)
+
+    def _texts(self, named: NamedLattice, tubes: Tubes) -> Sequence[str | None]:
+        """Names in words; those that were told before are kept, as most tubes are in the next picture too."""
+        if named is not self._named:
+            self._named, self._told = named, {}
+        places = list(zip(tubes.row.tolist(), tubes.column.tolist(), strict=True))
+        for place in places:
+            if place not in self._told:
+                name = named.name_of(*place)
+                self._told[place] = None if name is None else str(name)
+        return [self._told[place] for place in places]

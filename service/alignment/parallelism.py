@@ -92,12 +92,12 @@ def frame_covariance(pose: Pose, tubes: Tubes, lattice: Lattice) -> Array:
     linearise(pose.camera.vector(), 1.0, 1.0, pose.rotation, t, t, sheet, 6, px, J, place)
     of_place = np.array([lattice.scatter_mm, lattice.scatter_mm, lattice.height_scatter_mm])
     scatter = (place**2 @ of_place**2).mean(axis=1)
-    of_pose = np.einsum("nki,ij,nkj->n", J, pose.covariance, J) / 2
+    of_pose = ((J @ pose.covariance) * J).sum(axis=(1, 2)) / 2
     share = np.clip((tubes.sigma_px[used] ** 2 - of_pose) / scatter, 0.0, 0.98)
     weight = (1 - share) / scatter
-    N = np.einsum("nki,nkj->nij", J, J)
-    inverse = np.linalg.inv(np.einsum("n,nij->ij", weight, N))
-    noise = np.einsum("n,nij->ij", weight * share, N)
+    rows = J.reshape(2 * n, 6)
+    inverse = np.linalg.inv((rows.T * np.repeat(weight, 2)) @ rows)
+    noise = (rows.T * np.repeat(weight * share, 2)) @ rows
     return np.asarray(inverse @ noise @ inverse)
 
 

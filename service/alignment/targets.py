@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = ["NEAREST", "Target", "nearest_place", "parse_anchor", "parse_target", "state_at"]
 
+_AROUND = np.array(list(itertools.product(range(-1, 3), repeat=2)))
+"""Lattice steps from a cell's corner among which the nearest place is, in every arrangement."""
 _PLACE = re.compile(r" *(-?[0-9]{1,4}) *, *(-?[0-9]{1,4}) *")
 
 
@@ -81,7 +83,7 @@ def state_at(tubes: Tubes, place: tuple[int, int]) -> TubeState:
 def nearest_place(foot_mm: NDArray[np.float64], lattice: Lattice, tubes: Tubes) -> tuple[int, int]:
     """Lattice place of the tube nearest to a sheet point; places seen to have none are passed over."""
     corner = np.floor(lattice.lattice_coordinates(foot_mm[None])[0]).astype(int)
-    near = np.array(list(itertools.product(range(-1, 3), repeat=2))) + corner
+    near = _AROUND + corner
     away = np.linalg.norm(lattice.sheet_points(near[:, 0], near[:, 1]) - foot_mm, axis=1)
     places = [(int(row), int(column)) for row, column in near[np.argsort(away, kind="stable")]]
     return next((p for p in places if state_at(tubes, p) is not TubeState.ABSENT), places[0])
