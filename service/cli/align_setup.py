@@ -58,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         )
     if args.out.resolve() in {p.resolve() for p in (args.path, args.camera, args.table, args.config) if p}:
         raise ConfigError(f"{args.out}: is read from; choose another name for the guide file")
-    over = StandingOver(generator.lattice, args.guide_px, lines, TubeNamer(rule, anchors))
+    over = StandingOver(generator.lattice, args.guide_px, lines, TubeNamer(rule, anchors), apart=args.path.is_dir())
     for result in _results(args, camera, generator.lattice):
         over.take(result)
     standings = over.standings(args.inserted_mm)

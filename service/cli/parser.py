@@ -270,7 +270,9 @@ def _simulate(p: _Parser) -> None:
 
 
 def _align_setup(p: _Parser) -> None:
-    p.add_argument("path", metavar="PATH", type=Path, help="a video, picture or folder with the guide over known tubes")
+    p.add_argument(
+        "path", metavar="PATH", type=Path, help="a folder of pictures, or a video, with the guide over known tubes"
+    )
     _generator(p, required=True)
     p.add_argument("--camera", metavar="FILE", type=Path, required=True, help="camera file")
     p.add_argument("--out", metavar="FILE", type=Path, required=True, help="guide file to write")

@@ -44,7 +44,8 @@ class _Group:
 class StandingOver:
     """Sorts pictures by the tube that the guide stands over.
 
-    With a table, a line is a standing; without, as many pictures in a row as have the same tube.
+    With a table, a line of it is a standing. Without, each picture of a folder is one, and of a video as many in a row
+    as show the same tube.
     """
 
     def __init__(
@@ -53,10 +54,13 @@ class StandingOver:
         guide_px: tuple[float, float] | None,
         lines: Sequence[TableLine] | None,
         namer: TubeNamer,
+        *,
+        apart: bool,
     ) -> None:
+        self._apart = apart
         self._lattice, self._guide_px, self._lines, self._namer = lattice, guide_px, lines, namer
         self._groups: dict[object, _Group] = {}
-        self._last: tuple[int, int] | None = None
+        self._last: tuple[int, tuple[int, int]] | None = None
         self._skipped: dict[str, int] = defaultdict(int)
 
     def take(self, result: FrameResult) -> None:
@@ -72,13 +76,13 @@ class StandingOver:
         place = self._place(m, m.pose, line, named)
         if place is not None:
             self._group(result, place, line).views.append((m.pose, tube_end(m, place, self._lattice)))
-            self._last = place
+            self._last = result.sequence, place
 
     def _group(self, result: FrameResult, place: tuple[int, int], line: TableLine | None) -> _Group:
         """The standing that a picture belongs to."""
         if line is not None:
             return self._groups.setdefault(line, _Group(f"{line}, tube {line.target}", [], line.inserted_mm))
-        if place != self._last:
+        if self._last is None or (result.sequence != self._last[0] if self._apart else place != self._last[1]):
             tube = f"tube {place[0]},{place[1]}"
             self._groups[len(self._groups)] = _Group(f"frame {result.sequence}, {tube}", [], None)
         return self._groups[len(self._groups) - 1]

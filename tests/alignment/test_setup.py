@@ -28,21 +28,25 @@ def in_disc(rng, radius):
     return r * np.array([np.cos(angle), np.sin(angle)])
 
 
+def held(rng, R, end_mm, inserted_mm=0.0, distance_mm=950.0):
+    """Pose, near `R`, of a camera whose guide enters the tube at `end_mm`: with play there, and where it reaches to."""
+    end, depth = in_disc(rng, PLAY_MM), in_disc(rng, PLAY_MM)
+    d = np.array([*((depth - end) / inserted_mm if inserted_mm else rng.normal(0, 0.01, 2)), 1.0])
+    # Turn the camera so that the true axis lies along d of the sheet, then move it so that it passes the tube's end
+    w = np.cross(R @ d / np.linalg.norm(d), TRUE_AXIS)
+    R = turned(w / np.linalg.norm(w) * np.arcsin(np.linalg.norm(w))) @ R
+    passes = TRUE_POINT + (distance_mm - 900.0) / TRUE_AXIS[2] * TRUE_AXIS
+    return R, passes - R @ np.array([*(end_mm[:2] + end), 0.0])
+
+
 def stood(rng, *, inserted_mm=0.0, distance_mm=950.0, pictures=1, noise_px=0.05):
-    """Measurements with the true axis in a tube, with play at its end and where it reaches to; and the place."""
+    """Measurements of one standing over the tube in the middle of the view, and the tube's place."""
     R, t = random_pose(rng, distance_mm)
     places = places_in_view(CAMERA, LATTICE, R, t)
     tubes_mm = scattered(rng, LATTICE, places)
     i = int(np.argmin(np.hypot(*(LATTICE.sheet_points(*places) - (R.T @ -t)[:2]).T)))
     place = int(places[0][i]), int(places[1][i])
-    end, depth = in_disc(rng, PLAY_MM), in_disc(rng, PLAY_MM)
-    d = np.array([*((depth - end) / inserted_mm if inserted_mm else rng.normal(0, 0.01, 2)), 1.0])
-    d /= np.linalg.norm(d)
-    # Turn the camera so that the true axis lies along d of the sheet, then move it so that it passes the tube's end
-    w = np.cross(R @ d, TRUE_AXIS)
-    R = turned(w / np.linalg.norm(w) * np.arcsin(np.linalg.norm(w))) @ R
-    passes = TRUE_POINT + (distance_mm - 900.0) / TRUE_AXIS[2] * TRUE_AXIS
-    t = passes - R @ np.array([*(tubes_mm[place][:2] + end), 0.0])
+    R, t = held(rng, R, tubes_mm[place], inserted_mm, distance_mm)
     return [measure(rng, CAMERA, LATTICE, R, t, places, tubes_mm, noise_px, CAMERA) for _ in range(pictures)], place
 
 
