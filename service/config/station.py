@@ -14,6 +14,7 @@ from drivers.frame import Field
 from drivers.grabber import Standard
 from service.config.alignment import GuideSettings, IdentitySettings, read_alignment, read_identity
 from service.config.cameras import read_camera
+from service.config.console import ConsoleSettings, read_console
 from service.config.generators import SteamGenerator, load_generator
 from service.config.instruments import LensSettings, RangeFinderSettings, lens_settings, range_finder_settings
 from service.config.table import Table, read_toml
@@ -94,6 +95,7 @@ class Station:
     range_finder: RangeFinderSettings | None = None
     identity: IdentitySettings = field(default_factory=IdentitySettings)
     alignment: GuideSettings | None = None
+    console: ConsoleSettings = field(default_factory=ConsoleSettings)
 
 
 def read_station(path: Path) -> Station:
@@ -102,7 +104,7 @@ def read_station(path: Path) -> Station:
     source, generator, camera = t.table("source", required=True), t.table("generator", required=True), t.table("camera")
     measuring, viewer = t.table("measuring"), t.table("viewer")
     lens, range_finder = t.table("lens"), t.table("range_finder")
-    identity, alignment = t.table("identity"), t.table("alignment")
+    identity, alignment, console = t.table("identity"), t.table("alignment"), t.table("console")
     t.finish()
     tubes, names = _generator(generator, path.parent), read_identity(identity, path.parent)
     return Station(
@@ -115,6 +117,7 @@ def read_station(path: Path) -> Station:
         range_finder=range_finder_settings(range_finder),
         identity=names,
         alignment=read_alignment(alignment, path.parent, tubes, names.rule(tubes)),
+        console=read_console(console),
     )
 
 

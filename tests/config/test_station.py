@@ -5,6 +5,7 @@ import pytest
 
 from drivers.errors import ConfigError
 from drivers.frame import Field
+from service.config.console import ConsoleSettings
 from service.config.shipped import shipped_config
 from service.config.station import FieldOrder, MeasuringSettings, SourceSettings, ViewerSettings, read_station
 from service.vision.camera import Camera
@@ -27,6 +28,7 @@ def test_the_shipped_file_says_what_the_defaults_are():
     assert shipped.camera is None
     assert shipped.measuring == MeasuringSettings()
     assert shipped.viewer == ViewerSettings()
+    assert shipped.console == ConsoleSettings()
 
 
 def test_the_shipped_file_documents_every_key_in_place(tmp_path):
@@ -112,6 +114,11 @@ def test_a_field_order_is_what_every_frame_is_taken_for(order, field):
         ("[source]", "[measure]\n[source]", ["measure", "did you mean measuring?"]),
         ("[source]", '[measuring]\nfield_order = "botom"\n[source]', ["field_order = 'botom'", "did you mean bottom?"]),
         ("[source]", "[measuring]\noldest_frame_ms = 0\n[source]", ["oldest_frame_ms = 0", "at least 20"]),
+        ("[source]", '[console]\naddress = "station"\n[source]', ["console.address = 'station'", "127.0.0.1"]),
+        ("[source]", '[console]\nnames = ["http://x"]\n[source]', ["console.names", "'http://x' is no host name"]),
+        ("[source]", "[console]\nrate_hz = 60\n[source]", ["console.rate_hz = 60", "at most 30"]),
+        ("[source]", "[console]\nclients = 0\n[source]", ["console.clients = 0", "at least 1"]),
+        ("[source]", "[console]\nadress = 1\n[source]", ["console.adress", "did you mean address?"]),
         ("[source]", '[viewer]\naddress = "0.0.0.0"\n[source]', ["viewer.address = '0.0.0.0'", "loopback"]),
         ("[source]", '[viewer]\naddress = "localhost"\n[source]', ["viewer.address", "127.0.0.1"]),
         ("[source]", "[viewer]\nport = 70000\n[source]", ["viewer.port = 70000", "at most 65535"]),
