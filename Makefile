@@ -1,5 +1,6 @@
 # make run      set everything up and show the bundled bowl video (Ctrl-C stops it)
 # make test     set everything up and run all that must hold
+# make test-kernel  set everything up and test against real kernel devices, in a virtual machine where one can be had
 # make install  the set-up alone
 
 PYTHON ?= python3
@@ -7,7 +8,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 
-.PHONY: run test install check pytest bench clean
+.PHONY: run test test-kernel install check pytest bench clean
 
 run: install
 	@$(BIN)/bowlsight demo
@@ -30,6 +31,9 @@ check: install
 
 pytest: install
 	$(BIN)/pytest
+
+test-kernel: install
+	$(BIN)/python -m tests.kernel.run
 
 clean:
 	rm -rf $(VENV) dist build .mypy_cache .ruff_cache .pytest_cache

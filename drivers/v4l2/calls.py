@@ -20,6 +20,7 @@ from drivers.v4l2.constants import (
     ControlFlag,
     ControlType,
     FieldOrder,
+    SelectionTarget,
     SizeType,
 )
 from drivers.v4l2.structs import (
@@ -38,6 +39,7 @@ from drivers.v4l2.structs import (
     PixFormat,
     QueryControl,
     Request,
+    Selection,
     StreamParameters,
 )
 
@@ -62,6 +64,7 @@ __all__ = [
     "pix_format",
     "query_dv_timings",
     "query_standard",
+    "reset_selection",
     "select_input",
     "set_control",
     "set_dv_timings",
@@ -286,6 +289,15 @@ def set_pix_format(node: Node, size_px: tuple[int, int], encoding: int, field: F
     wish.fmt.pix.pixelformat, wish.fmt.pix.field = encoding, field
     granted: PixFormat = node.ask(Request.S_FMT, wish).fmt.pix
     return granted
+
+
+def reset_selection(node: Node, target: SelectionTarget, default: SelectionTarget) -> None:
+    """Give a rectangle, of what is captured or of where that is put in the picture, its default."""
+    kind = BufferType.VIDEO_CAPTURE
+    in_use = node.ask_if_known(Request.G_SELECTION, Selection(type=kind, target=target))
+    usual = node.ask_if_known(Request.G_SELECTION, Selection(type=kind, target=default))
+    if in_use is not None and usual is not None and bytes(in_use.r) != bytes(usual.r):
+        node.ask_if_known(Request.S_SELECTION, Selection(type=kind, target=target, r=usual.r))
 
 
 def frame_period_s(node: Node) -> float | None:

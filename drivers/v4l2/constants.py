@@ -19,6 +19,7 @@ __all__ = [
     "FieldOrder",
     "InputCapability",
     "InputStatus",
+    "SelectionTarget",
     "SizeType",
     "StandardBits",
     "fourcc",
@@ -108,6 +109,15 @@ class StandardBits(enum.IntFlag):
     NTSC = 0xB000
     SECAM = 0xFF0000
     LINES_525 = 0xF900
+
+
+class SelectionTarget(enum.IntEnum):
+    """V4L2_SEL_TGT_*."""
+
+    CROP = 0x0
+    CROP_DEFAULT = 0x1
+    COMPOSE = 0x100
+    COMPOSE_DEFAULT = 0x101
 
 
 class ControlType(enum.IntEnum):

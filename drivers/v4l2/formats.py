@@ -10,7 +10,7 @@ from drivers.errors import UnsupportedFormatError
 from drivers.frame import Field
 from drivers.grabber import FieldMode, FrameFormat
 from drivers.v4l2 import calls
-from drivers.v4l2.constants import FieldOrder, StandardBits, fourcc, fourcc_text
+from drivers.v4l2.constants import FieldOrder, SelectionTarget, StandardBits, fourcc, fourcc_text
 from drivers.v4l2.encodings import ENCODINGS, Layout
 from drivers.v4l2.timings import timings_in_use
 
@@ -150,12 +150,15 @@ def _granted(
     wishes = [(size, woven)]
     if mode is not FieldMode.FRAME:
         wishes = [((size[0], size[1] // 2), SINGLE_FIELDS[mode]), (size, FieldOrder.INTERLACED)]
+    # What another program left cut off, or a smaller format left unused, would be missing or black without a word.
+    calls.reset_selection(node, SelectionTarget.CROP, SelectionTarget.CROP_DEFAULT)
     for (width, height), field in wishes:
         pix = calls.set_pix_format(node, (width, height), fourcc(encoding.name), field)
         if pix.pixelformat != fourcc(encoding.name):
             raise UnsupportedFormatError(device, f"lists {encoding.name} but grants {fourcc_text(pix.pixelformat)}")
         if pix.field == field or (field == woven and pix.field in {*WOVEN, FieldOrder.NONE}):
             break
+    calls.reset_selection(node, SelectionTarget.COMPOSE, SelectionTarget.COMPOSE_DEFAULT)
     if mode is not FieldMode.FRAME and pix.field not in {SINGLE_FIELDS[mode], *WOVEN}:
         raise UnsupportedFormatError(device, f"gives progressive pictures, which have no fields; field mode {mode}")
     if pix.field not in {FieldOrder.NONE, *WOVEN, *SINGLE_FIELDS.values()}:

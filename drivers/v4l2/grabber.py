@@ -294,7 +294,7 @@ class V4l2Grabber(Grabber):
         try:
             with self._told("cannot be set up"):
                 self._inputs = list_inputs(calls.inputs(self._node))
-                follow_timings(self._node)
+                follow_timings(self._node, self.name)
                 self._agree()
         except BaseException:
             self._do_close()

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from drivers.grabber import Input, SignalStatus, Standard
 from drivers.v4l2 import calls
 from drivers.v4l2.constants import InputCapability, InputStatus, StandardBits
-from drivers.v4l2.timings import NO_TIMINGS
+from drivers.v4l2.timings import NO_TIMINGS, Timings, timings_in_use
 
 if TYPE_CHECKING:
     from drivers.v4l2.calls import Node
@@ -71,10 +71,11 @@ def signal_status(node: Node, index: int) -> SignalStatus:
 
 def _digital_status(node: Node) -> SignalStatus:
     try:
-        return SignalStatus.UNKNOWN if calls.query_dv_timings(node) is None else SignalStatus.OK
+        told, in_use = calls.query_dv_timings(node), timings_in_use(node)
     except OSError as error:
-        if error.errno == errno.ENOLINK:
-            return SignalStatus.NO_SIGNAL
-        if error.errno in NO_TIMINGS:
-            return SignalStatus.NO_LOCK
-        raise
+        if error.errno not in NO_TIMINGS:
+            raise
+        return SignalStatus.NO_SIGNAL if error.errno == errno.ENOLINK else SignalStatus.NO_LOCK
+    if told is None or in_use is None:
+        return SignalStatus.UNKNOWN
+    return SignalStatus.OK if Timings.of(told).like(in_use) else SignalStatus.NO_LOCK

@@ -22,8 +22,10 @@ __all__ = [
     "MenuItem",
     "PixFormat",
     "QueryControl",
+    "Rectangle",
     "Request",
     "RequestBuffers",
+    "Selection",
     "StreamParameters",
 ]
 
@@ -210,6 +212,24 @@ class InputDescription(ctypes.Structure):
     )
 
 
+class Rectangle(ctypes.Structure):
+    """v4l2_rect."""
+
+    _fields_ = (("left", c_int32), ("top", c_int32), ("width", c_uint32), ("height", c_uint32))
+
+
+class Selection(ctypes.Structure):
+    """v4l2_selection."""
+
+    _fields_ = (
+        ("type", c_uint32),
+        ("target", c_uint32),
+        ("flags", c_uint32),
+        ("r", Rectangle),
+        ("reserved", c_uint32 * 9),
+    )
+
+
 class ControlValue(ctypes.Structure):
     """v4l2_control."""
 
@@ -352,6 +372,8 @@ class Request(enum.IntEnum):
     QUERYSTD = _ior(63, c_uint64)
     ENUM_FRAMESIZES = _iowr(74, FrameSize)
     ENUM_FRAMEINTERVALS = _iowr(75, FrameInterval)
+    G_SELECTION = _iowr(94, Selection)
+    S_SELECTION = _iowr(95, Selection)
     S_DV_TIMINGS = _iowr(87, DvTimings)
     G_DV_TIMINGS = _iowr(88, DvTimings)
     DQEVENT = _ior(89, Event)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import logging
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Self
 
@@ -14,8 +15,10 @@ if TYPE_CHECKING:
 
 __all__ = ["NO_TIMINGS", "Timings", "detected_timings", "follow_timings", "set_timings", "timings_in_use"]
 
+log = logging.getLogger(__name__)
+
 NO_TIMINGS = frozenset({errno.ENOLINK, errno.ENOLCK, errno.ERANGE})
-"""No signal, none to lock to, none that the device can take."""
+"""No signal, none to lock to, none in the range of the device."""
 SAME_RATE = 0.005
 """Rates are measured: of one signal they differ by less than this share."""
 
@@ -88,8 +91,14 @@ def set_timings(node: Node, timings: Timings) -> None:
     calls.set_dv_timings(node, DvTimings.from_buffer_copy(timings.raw))
 
 
-def follow_timings(node: Node) -> None:
-    """Set a digital input to the timings of its signal, as far as there is one."""
+def follow_timings(node: Node, device: str) -> None:
+    """Set a digital input to the timings of its signal, as far as there is one that the device takes."""
     in_use, found = timings_in_use(node), detected_timings(node)
-    if in_use is not None and found is not None and not found.like(in_use):
+    if in_use is None or found is None or found.like(in_use):
+        return
+    try:
         set_timings(node, found)
+    except OSError as error:
+        if error.errno not in {errno.EINVAL, errno.ERANGE}:
+            raise
+        log.warning("%s: its source sends %s, which it does not take; it stays at %s", device, found, in_use)

@@ -25,7 +25,7 @@ from drivers.v4l2.constants import (
     fourcc_text,
 )
 from drivers.v4l2.grabber import V4l2Grabber
-from drivers.v4l2.structs import BtTimings, DvTimings, Fraction, QueryControl, Request
+from drivers.v4l2.structs import BtTimings, DvTimings, Fraction, QueryControl, Rectangle, Request
 
 ANALOGUE = StandardBits.NTSC | StandardBits.PAL | StandardBits.SECAM
 ALL_FIELDS = frozenset(FieldOrder) - {FieldOrder.ANY, FieldOrder.SEQ_TB, FieldOrder.SEQ_BT}
@@ -132,6 +132,8 @@ class FakeDevice:
     """Requests that fail, and the errno with which."""
     refuses_control: dict = field(default_factory=dict)
     faults: dict = field(default_factory=dict)
+    selections: dict = field(default_factory=dict)
+    """Rectangles left by another program, by target: 0 crop, 0x100 compose."""
 
     def __post_init__(self):
         self.timings = {i: timings(640, 480, 60) for i in range(len(self.inputs))}
@@ -274,6 +276,15 @@ class FakeDevice:
         name = fourcc_text(pix.pixelformat)
         self.encoding = name if name in self.encodings else self.encodings[0]
         self._g_fmt(fd, a, now_ns)
+
+    def _g_selection(self, fd, a, now_ns):
+        self._check(a.target in (0, 0x100, 1, 0x101))
+        whole = (0, 0, *(self.most if a.target < 0x100 else self.size))
+        a.r = Rectangle(*(self.selections.get(a.target, whole)))
+
+    def _s_selection(self, fd, a, now_ns):
+        self._check(self.owner is None, errno.EBUSY)
+        self.selections[a.target] = (a.r.left, a.r.top, a.r.width, a.r.height)
 
     def _g_parm(self, fd, a, now_ns):
         a.parm.capture.timeperframe = Fraction(1_000_000, round(1_000_000 * self.rate_hz))

@@ -251,6 +251,19 @@ def test_without_a_signal_the_timings_stay(clock):
         assert grabber.signal_status() is SignalStatus.NO_SIGNAL
 
 
+def test_timings_that_the_device_does_not_take_are_told_and_not_locked_to(clock, caplog):
+    grabber, device = fake_grabber(clock, **hdmi(timings(320, 240, 50)))
+    device.fails = {Request.S_DV_TIMINGS: errno.EINVAL}
+    with grabber:
+        assert str(grabber.timings) == "640x480p at 60 Hz"
+        assert grabber.signal_status() is SignalStatus.NO_LOCK
+    assert "sends 320x240p at 50 Hz, which it does not take; it stays at 640x480p at 60 Hz" in caplog.text
+    grabber, device = fake_grabber(clock, **hdmi(timings(320, 240, 50)))
+    device.fails = {Request.S_DV_TIMINGS: errno.EIO}
+    with pytest.raises(DeviceProtocolError):
+        grabber.open()
+
+
 def test_a_source_that_changes_its_pictures_ends_the_stream_and_is_followed_when_opened_again(clock):
     grabber, device = fake_grabber(clock, **hdmi(timings(640, 480, 60)))
     grabber.open().start()

@@ -408,6 +408,15 @@ def test_what_was_asked_and_what_was_granted_are_both_told(clock, caplog):
     ]
 
 
+def test_what_another_program_left_cut_off_or_unused_is_made_whole(clock):
+    grabber, device = fake_grabber(clock, selections={0: (10, 10, 20, 20), 0x100: (0, 0, 64, 24)})
+    with grabber:
+        assert device.selections == {0: (0, 0, 64, 48), 0x100: (0, 0, 64, 48)}
+    device.requests.clear()
+    with grabber:
+        assert Request.S_SELECTION not in device.requests
+
+
 def test_a_device_that_knows_only_what_it_must_can_be_grabbed_from(clock):
     must = {
         Request.QUERYCAP, Request.ENUM_FMT, Request.G_FMT, Request.S_FMT, Request.REQBUFS, Request.QUERYBUF,
