@@ -14,17 +14,17 @@ import math
 import time
 import uuid
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
 
+from service.sinks.pictures import ShownPictures
 from service.sinks.quiet_rerun import rr
 from service.sinks.viewer_marks import (
     LABELS,
     LOCK_COLORS,
     class_ids,
-    kinds,
     load_kernels,
     mark_widths,
     marks,
@@ -32,6 +32,7 @@ from service.sinks.viewer_marks import (
 )
 from service.sinks.viewer_status import status_text, why
 from service.vision.measurement import Lock
+from service.vision.outlines import kinds
 from service.vision.projection import undistort
 
 if TYPE_CHECKING:
@@ -98,7 +99,7 @@ class FrameDrawing:
         self._said: tuple[Lock, str | None] | None = None
         self._generation, self._offset, self._last = -1, 0, -1
         self._stamp = ""
-        self._bits = 8
+        self._shown = ShownPictures()
         self._sheet_ns, self._sheet_empty = -SHEET_PERIOD_NS, True
 
     def prepare(self, stream: rr.RecordingStream) -> None:
@@ -166,10 +167,7 @@ class FrameDrawing:
             self._stamp = f"{str(utc)[11:22]} UTC"
 
     def _draw_picture(self, stream: rr.RecordingStream, frame: Frame, shown: str) -> tuple[int, int]:
-        pixels = _whole(frame.pixels, shown, frame.field in ("top", "bottom"))
-        if pixels.dtype != np.uint8:  # 9 to 16 bit keep their values: the brightest so far tells how many bits are used
-            self._bits = max(self._bits, int(pixels.max(initial=0)).bit_length())
-            pixels = (pixels >> (self._bits - 8)).astype(np.uint8)
+        pixels = self._shown.picture(frame, shown)
         height, width = pixels.shape
         if self._compress:
             coded = cv2.imencode(".jpg", pixels, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
@@ -272,14 +270,3 @@ def _border_on_sheet(pose: Pose, eye_mm: NDArray[np.float64]) -> NDArray[np.floa
     rays = undistort(pose.camera.vector(), np.stack([x * w, y * h], axis=1) - CORNER)
     rays = np.column_stack([rays, np.ones(len(rays))]) @ pose.rotation
     return np.asarray(eye_mm - rays * (eye_mm[2] / rays[:, 2:]))
-
-
-def _whole(pixels: NDArray[Any], shown: str, alone: bool) -> NDArray[Any]:
-    """Fill the lines of one field up to a whole picture; what is no field is returned as it is."""
-    if shown not in ("top", "bottom"):
-        return pixels
-    parity = int(shown == "bottom")
-    lines = pixels if alone else pixels[parity::2]
-    whole = np.repeat(lines, 2, axis=0)
-    whole[1 + parity : len(whole) - 1 + parity : 2] = cv2.addWeighted(lines[:-1], 0.5, lines[1:], 0.5, 0)
-    return whole

@@ -9,8 +9,8 @@ import pyarrow as pa  # type: ignore[import-untyped]
 
 from service.sinks.quiet_rerun import rr
 from service.vision.camera import lens_vector
-from service.vision.measurement import Lock, Origin, TubeState
-from service.vision.outlines import rim_outlines
+from service.vision.measurement import Lock
+from service.vision.outlines import TubeKind, rim_outlines
 from service.vision.projection import project, undistort
 
 if TYPE_CHECKING:
@@ -21,9 +21,8 @@ if TYPE_CHECKING:
     from service.vision.lattice import Lattice
     from service.vision.measurement import Pose, Tubes
 
-__all__ = ["LABELS", "LOCK_COLORS", "class_ids", "kinds", "load_kernels", "mark_widths", "marks", "strips_3d"]
+__all__ = ["LABELS", "LOCK_COLORS", "class_ids", "load_kernels", "mark_widths", "marks", "strips_3d"]
 
-MEASURED, PREDICTED, PLUGGED, ABSENT = range(4)
 NAMES = ("measured", "predicted", "plugged", "absent")
 # Okabe and Ito's palette, which the colour-blind tell apart. What is normal stays pale.
 COLORS = ((120, 195, 240), (230, 159, 0), (225, 130, 185), (170, 170, 170))
@@ -62,13 +61,6 @@ def load_kernels() -> None:
     undistort(v, np.zeros((0, 2)))
 
 
-def kinds(tubes: Tubes) -> NDArray[np.int_]:
-    """What each tube is drawn as, (n,): MEASURED, PREDICTED, PLUGGED or ABSENT."""
-    open_kind = np.where(tubes.origin == Origin.MEASURED, MEASURED, PREDICTED)
-    special = [tubes.state == TubeState.PLUGGED, tubes.state == TubeState.ABSENT]
-    return np.select(special, [PLUGGED, ABSENT], open_kind)
-
-
 def class_ids(kind: NDArray[np.int_], *, doubtful: bool) -> NDArray[np.uint16]:
     """Rerun's classes of kinds, (n,), as `LABELS` explains them."""
     return (kind + DOUBTFUL * doubtful).astype(np.uint16)
@@ -85,13 +77,13 @@ def marks(pose: Pose | None, lattice: Lattice, tubes: Tubes, kind: NDArray[np.in
         return _strips(np.zeros((0, 2)), [], STRIP_2D)
     outlines = rim_outlines(pose, lattice, tubes, RIM_POINTS).astype(np.float32)
     center = tubes.center_px.astype(np.float32)[:, None]
-    predicted = kind == PREDICTED
+    predicted = kind == TubeKind.PREDICTED
     radius = np.ptp(outlines[predicted], axis=1)[:, None] / 2
     strokes = (
-        outlines[kind == MEASURED][:, RING],
+        outlines[kind == TubeKind.MEASURED][:, RING],
         center[predicted] + radius * CROSS,
-        outlines[kind == PLUGGED][:, CROSSED_RING],
-        center[kind == ABSENT] + DOT,
+        outlines[kind == TubeKind.PLUGGED][:, CROSSED_RING],
+        center[kind == TubeKind.ABSENT] + DOT,
     )
     lengths = np.repeat([s.shape[1] for s in strokes], [len(s) for s in strokes])
     return _strips(np.concatenate([s.reshape(-1, 2) for s in strokes]) + corner, lengths, STRIP_2D)

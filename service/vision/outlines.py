@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import enum
 import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from service.vision.measurement import Origin, TubeState
 from service.vision.projection import project
 
 if TYPE_CHECKING:
@@ -15,7 +17,37 @@ if TYPE_CHECKING:
     from service.vision.lattice import Lattice
     from service.vision.measurement import Pose, Tubes
 
-__all__ = ["rim_outlines"]
+__all__ = ["TubeKind", "kinds", "rim_ellipses", "rim_outlines"]
+
+
+class TubeKind(enum.IntEnum):
+    """What a tube is drawn as."""
+
+    MEASURED = 0
+    PREDICTED = 1
+    PLUGGED = 2
+    ABSENT = 3
+
+
+def kinds(tubes: Tubes) -> NDArray[np.int_]:
+    """What each tube is drawn as, (n,) of `TubeKind`."""
+    open_kind = np.where(tubes.origin == Origin.MEASURED, TubeKind.MEASURED, TubeKind.PREDICTED)
+    special = [tubes.state == TubeState.PLUGGED, tubes.state == TubeState.ABSENT]
+    return np.select(special, [TubeKind.PLUGGED, TubeKind.ABSENT], open_kind)
+
+
+def rim_ellipses(pose: Pose, lattice: Lattice, tubes: Tubes, n: int = 8) -> NDArray[np.float64]:
+    """The ellipses that come nearest to the rims' outlines.
+
+    Returns
+    -------
+    (k, 6) float64, px: centre c and conjugate half-diameters u and v, the rim being ``c + u cos a + v sin a``. NaN
+    where the lens model has no answer.
+    """
+    outlines = rim_outlines(pose, lattice, tubes, n)
+    angles = np.arange(n) * (2 * math.pi / n)
+    first_harmonic = np.stack([np.full(n, 0.5), np.cos(angles), np.sin(angles)]) * (2 / n)
+    return np.asarray(np.einsum("hn,knx->khx", first_harmonic, outlines).reshape(len(tubes), 6))
 
 
 def rim_outlines(pose: Pose, lattice: Lattice, tubes: Tubes, n: int = 24) -> NDArray[np.float64]:

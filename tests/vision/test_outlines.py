@@ -6,7 +6,7 @@ import pytest
 from service.vision.camera import Camera, OpenCVLens, TsaiLens
 from service.vision.lattice import Arrangement, Lattice
 from service.vision.measurement import Pose, PoseSigma, Tubes
-from service.vision.outlines import rim_outlines
+from service.vision.outlines import TubeKind, kinds, rim_ellipses, rim_outlines
 from service.vision.projection import project, undistort
 
 LATTICE = Lattice(Arrangement.TRIANGULAR, 25.4, 8.4, 9.5)
@@ -64,3 +64,24 @@ def test_no_tubes_have_no_outlines():
 def test_behind_the_camera_there_is_nothing_to_draw():
     p = pose(distance_mm=-600.0)
     assert np.isnan(rim_outlines(p, LATTICE, tubes_at(p, [0], [0]))).all()
+
+
+@pytest.mark.parametrize("lens", [TsaiLens(), TsaiLens(0.004), OpenCVLens((-0.3, 0.1, 0.001, 0.0, 0.0))])
+def test_the_ellipses_follow_the_outlines_to_a_fraction_of_a_pixel(lens):
+    p = pose(lens, tilt_deg=25)
+    tubes = tubes_at(p, [0, 3], [-4, 2])
+    outlines, ellipses = rim_outlines(p, LATTICE, tubes, 24), rim_ellipses(p, LATTICE, tubes).reshape(2, 3, 2)
+    angles = np.arange(24) * (2 * math.pi / 24)
+    c, u, v = ellipses[:, 0, None], ellipses[:, 1, None], ellipses[:, 2, None]
+    drawn = c + u * np.cos(angles)[:, None] + v * np.sin(angles)[:, None]
+    assert np.linalg.norm(drawn - outlines, axis=2).max() < 0.15
+    assert np.isnan(rim_ellipses(pose(distance_mm=-600.0), LATTICE, tubes)).all()
+
+
+def test_a_plug_is_drawn_as_one_whether_or_not_it_was_measured():
+    tubes = Tubes(
+        *(np.zeros(5, np.int32),) * 2, np.zeros((5, 2)), np.zeros(5), np.array([1, 0, 1, 0, 0], np.uint8),
+        np.array([1, 0, 2, 2, 3], np.uint8),
+    )  # fmt: skip
+    expected = [TubeKind.MEASURED, TubeKind.PREDICTED, TubeKind.PLUGGED, TubeKind.PLUGGED, TubeKind.ABSENT]
+    assert kinds(tubes).tolist() == expected
