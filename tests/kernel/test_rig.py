@@ -55,7 +55,7 @@ def test_a_tool_that_is_missing_is_named_with_its_package(monkeypatch):
 
 
 def test_a_tool_that_fails_or_hangs_is_told_in_its_own_words():
-    with pytest.raises(vm.UnavailableError, match="ls: .*No such file"):
+    with pytest.raises(vm.UnavailableError, match=r"ls: .*No such file"):
         vm.run_tool(["ls", "/nowhere/at/all"], 10)
     with pytest.raises(vm.UnavailableError, match="did not end within"):
         vm.run_tool(["sleep", "60"], 0.05)
