@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["Fit", "Prior", "camera_with", "fit_pose", "linearise", "pose_from_plane", "prior_of"]
+__all__ = ["NO_PRIOR", "Fit", "Prior", "camera_with", "fit_pose", "linearise", "pose_from_plane", "prior_of"]
 
 POSE = 6
 PARAMETERS = ("focal_length_mm", "sx", "cx_px", "cy_px", "kappa1_per_mm2", "k1", "k2", "p1", "p2", "k3")
@@ -316,6 +316,10 @@ class Prior:
     covariance: NDArray[np.float64]
 
 
+NO_PRIOR = Prior((), np.zeros(0), np.zeros((0, 0)))
+"""For a camera of which nothing is to be estimated."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
     """A solved pose.
@@ -354,6 +358,13 @@ class Fit:
     converged: bool
     gradient: NDArray[np.float64]
     information: NDArray[np.float64]
+
+    def sigma(self, name: str) -> float:
+        """One sigma of a camera parameter; 0 where it was not estimated."""
+        if name not in self.names:
+            return 0.0
+        k = POSE + self.names.index(name)
+        return math.sqrt(float(self.covariance[k, k]))
 
     def response(self, field_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """How the solution, (6 + k,), would follow if all n centres were shifted by `field_px`, (n, 2), together."""
