@@ -1,12 +1,14 @@
 # make run      set everything up and show the bundled bowl video (Ctrl-C stops it)
 # make test     set everything up and run all that must hold
 # make test-kernel  set everything up and test against real kernel devices, in a virtual machine where one can be had
+# make bench    measure side by side with OpenCV's finders, and cost, growth, specks and the service; prints Markdown
 # make install  the set-up alone
 
 PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+PEERS  := $(VENV)/peers
 
 .PHONY: run test test-kernel install check pytest bench clean
 
@@ -34,6 +36,14 @@ pytest: install
 
 test-kernel: install
 	$(BIN)/python -m tests.kernel.run
+
+bench: install $(PEERS)
+	@PYTHONPATH=$(PEERS) $(BIN)/python -m tests.bench $(ARGS)
+
+# The extra "bench", beside the environment and not in it: two OpenCVs in one would overwrite each other.
+$(PEERS): pyproject.toml constraints.txt
+	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --upgrade --constraint constraints.txt --target $@ opencv-contrib-python-headless
+	@touch $@
 
 clean:
 	rm -rf $(VENV) dist build .mypy_cache .ruff_cache .pytest_cache
