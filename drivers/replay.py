@@ -78,7 +78,8 @@ class ReplayGrabber(Grabber):
         self._field_mode, self._top_first = field_mode, top_first
         self._recording: Recording | None = None
         self._pictures: Generator[Picture] | None = None
-        self._pending: deque[Frame] = deque()
+        self._pending: deque[tuple[int, Frame]] = deque()
+        """Frames, and when on the recording's own clock each is due."""
         self._owed = 0.0
         self._shift_ns = 0
         """What is added to presentation times to get the clock's."""
@@ -171,12 +172,12 @@ class ReplayGrabber(Grabber):
                 self._wait_in_vain(timeout_s, f"nothing to deliver in {self._mode} mode")
             self._fetch()
             self._owed -= 1
-        due_ns = self._shift_ns + self._paced_ns(self._pending[0].timestamp_ns)
+        due_ns = self._shift_ns + self._paced_ns(self._pending[0][0])
         wait_s = (due_ns - self.clock.monotonic_ns()) / 1e9
         if wait_s > timeout_s:
             self._wait_in_vain(timeout_s, f"the next frame is due in {wait_s:.3f} s")
         self.clock.sleep(wait_s)
-        return replace(self._pending.popleft(), received_ns=self.clock.monotonic_ns())
+        return replace(self._pending.popleft()[1], received_ns=self.clock.monotonic_ns())
 
     def _wait_in_vain(self, timeout_s: float, why: str) -> NoReturn:
         self.clock.sleep(timeout_s)
@@ -191,9 +192,15 @@ class ReplayGrabber(Grabber):
         time_ns, number = self._seam_ns + picture.time_ns, self._seam_number + picture.number
         period_ns = self._opened().period_ns
         self._next_ns, self._next_number = time_ns + period_ns, number + 1
-        frame = Frame(
+        frame = self._frame(picture, time_ns, number - self._first_number)
+        for field in field_frames(frame, self._field_mode, top_first=self._top_first, field_ns=period_ns // 2):
+            self._pending.append((time_ns + field.timestamp_ns - frame.timestamp_ns, field))
+
+    def _frame(self, picture: Picture, time_ns: int, sequence: int) -> Frame:
+        """The frame that a picture is, at its time of this playing."""
+        return Frame(
             pixels=picture.pixels,
-            sequence=number - self._first_number,
+            sequence=sequence,
             timestamp_ns=time_ns,
             received_ns=0,
             field=Field.UNKNOWN,
@@ -202,7 +209,6 @@ class ReplayGrabber(Grabber):
             generation=self.generation,
             defect=picture.defect,
         )
-        self._pending.extend(field_frames(frame, self._field_mode, top_first=self._top_first, field_ns=period_ns // 2))
 
     def _next_picture(self) -> Picture:
         assert self._pictures is not None

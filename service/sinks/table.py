@@ -59,6 +59,10 @@ class _RowWriter:
 
     def accept(self, frame: Frame, results: Sequence[FrameResult]) -> None:  # noqa: ARG002 - pixels are not written
         """Write the rows of one frame; raises OSError where there is no room for them."""
+        self.write(results)
+
+    def write(self, results: Sequence[FrameResult]) -> None:
+        """Write the rows of one frame's results."""
         for result in results:
             self._file.write(self._row(result))
         self._written += 1

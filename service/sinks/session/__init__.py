@@ -1,0 +1,1 @@
+"""Recorded sessions: a folder that can be replayed, searched and checked."""
