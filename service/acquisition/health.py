@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from service.acquisition.ledger import Account
+    from service.acquisition.liveness import Shown
+    from service.acquisition.resources import Resources
     from service.sinks.base import SinkStats
 
 __all__ = ["AcquisitionState", "Health", "Percentiles", "Rate", "Window"]
@@ -22,7 +24,7 @@ class AcquisitionState(enum.StrEnum):
 
     CLOSED before it begins and after a stop. OPENING until the first frame. RUNNING while sound frames come, DEGRADED
     while the last one had a defect, STALLED while none comes. LOST where the device went away, FAULTED where it failed
-    otherwise, ENDED where a recording was over: these three are final.
+    otherwise: for good, or until the next attempt, which BACKING_OFF waits for. ENDED where a recording was over.
     """
 
     CLOSED = "closed"
@@ -31,6 +33,7 @@ class AcquisitionState(enum.StrEnum):
     DEGRADED = "degraded"
     STALLED = "stalled"
     LOST = "lost"
+    BACKING_OFF = "backing off"
     FAULTED = "faulted"
     ENDED = "ended"
 
@@ -94,12 +97,18 @@ class Health:
 
     Attributes
     ----------
+    shown
+        What operators are told of the picture before them.
     state, generation
-        Of acquisition; `generation` grows each time the device is opened.
+        Of acquisition; `generation` grows each time the device is started anew, or switched to another input.
+    recoveries
+        How often the source was got back after it had failed.
     capture_fps, result_fps
         Frames arriving and frames answered, a second.
     silent_s
         Time since the last frame; None before the first.
+    interval_ms
+        Between frames arriving.
     age_ms
         Age of frames, since the driver had them, when their processing starts.
     latency_ms
@@ -114,13 +123,18 @@ class Health:
         Pictures answered with each lock: "full", "partial", "none".
     sinks
         What each sink did with what it got.
+    resources
+        What the process holds.
     """
 
+    shown: Shown
     state: AcquisitionState
     generation: int
+    recoveries: int
     capture_fps: float
     result_fps: float
     silent_s: float | None
+    interval_ms: Percentiles
     age_ms: Percentiles
     latency_ms: Percentiles
     waiting: int
@@ -128,3 +142,4 @@ class Health:
     account: Account
     locks: Mapping[str, int]
     sinks: Mapping[str, SinkStats]
+    resources: Resources

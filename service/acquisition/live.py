@@ -10,11 +10,15 @@ from typing import TYPE_CHECKING, Self
 
 import cv2
 
+from service.acquisition.content import PictureWatch
 from service.acquisition.health import Health
+from service.acquisition.intake import Intake
 from service.acquisition.ledger import Ledger
+from service.acquisition.liveness import Liveness
 from service.acquisition.measuring import FrameMeasurer
+from service.acquisition.resources import resources
 from service.acquisition.slot import FrameQueue, NewestSlot
-from service.acquisition.thread import AcquisitionThread
+from service.acquisition.supervisor import Supervisor
 from service.acquisition.worker import Worker
 
 if TYPE_CHECKING:
@@ -24,6 +28,7 @@ if TYPE_CHECKING:
     from drivers.frame import Field
     from drivers.grabber import FrameFormat, Grabber
     from service.acquisition.measuring import Measurer
+    from service.acquisition.recovery import Supervision
     from service.acquisition.slot import HandOver
     from service.acquisition.worker import Answer
     from service.alignment.interpreter import Interpreter
@@ -42,7 +47,7 @@ ORDERED_CAPACITY = 8
 
 
 class LiveService:
-    """Grabs, measures and hands on until stopped, or until the source ends or fails.
+    """Grabs, measures and hands on until stopped, or until the source ends or fails for good.
 
     Parameters
     ----------
@@ -62,6 +67,12 @@ class LiveService:
         Do not measure frames older than this; None: however old.
     interpreter
         Names the tubes and judges the alignment; None where neither is set up.
+    kind
+        What the source is when nothing is wrong with it: LIVE, REPLAY or SIMULATED.
+    supervision
+        How a live source is watched and got back; None for recordings, whose failures are final.
+    tell
+        Gets what happens to the source in words, with INFO, WARN or ERROR, from several threads. Must return at once.
     """
 
     def __init__(
@@ -75,6 +86,9 @@ class LiveService:
         field: Field | None = None,
         oldest_s: float | None = None,
         interpreter: Interpreter | None = None,
+        kind: Liveness = Liveness.LIVE,
+        supervision: Supervision | None = None,
+        tell: Callable[[str, str], None] | None = None,
     ) -> None:
         self._grabber, self._measurer_for, self._sinks = grabber, measurer_for, tuple(sinks)
         self._interpreter = interpreter
@@ -82,7 +96,19 @@ class LiveService:
         self._ledger = Ledger()
         self._hand_over: HandOver = FrameQueue(ORDERED_CAPACITY) if every_frame else NewestSlot()
         self._subscribers: list[FrameQueue] = []
-        self._acquisition = AcquisitionThread(grabber, self._hand_over, self._ledger, self._subscribers, prepare)
+        watch = None
+        if supervision is not None:
+            watch = PictureWatch(supervision.settings.frozen_frames, supervision.settings.flat_levels)
+        self._intake = Intake(self._hand_over, self._ledger, self._subscribers, self._clock, watch)
+        self._acquisition = Supervisor(
+            grabber,
+            self._intake,
+            kind,
+            prepare,
+            supervision,
+            tell,
+            lambda: None if self._worker is None else self._worker.measuring_ns,
+        )
         self._worker: Worker | None = None
         self._started_sinks: list[Sink] = []
         self._switch_interval_s = sys.getswitchinterval()
@@ -142,6 +168,10 @@ class LiveService:
         self._acquisition.request_stop()  # where the worker ended by a mistake of its own, nobody measures any more
         return self._acquisition.join(deadline - time.monotonic())
 
+    def select_input(self, name: str) -> None:
+        """Have the source switched to another of its inputs; raises ValueError where it has none of that name."""
+        self._acquisition.select_input(name)
+
     def stop(self, timeout_s: float = STOP_S) -> None:
         """Stop from any state: end capture, measure what waits if there is time, flush the sinks. May be repeated."""
         deadline, threads_s = time.monotonic() + timeout_s, timeout_s - SINKS_SHARE_S
@@ -193,11 +223,14 @@ class LiveService:
         now_ns, acquisition, worker = self._clock.monotonic_ns(), self._acquisition, self._worker
         assert worker is not None, "not started"
         return Health(
+            shown=acquisition.shown(),
             state=acquisition.state,
-            generation=acquisition.generation,
-            capture_fps=acquisition.rate.per_second(now_ns),
+            generation=self._intake.generation,
+            recoveries=acquisition.recoveries,
+            capture_fps=self._intake.rate.per_second(now_ns),
             result_fps=worker.rate.per_second(now_ns),
-            silent_s=acquisition.silent_s(now_ns),
+            silent_s=self._intake.silent_s(now_ns),
+            interval_ms=self._intake.interval_ms.percentiles(),
             age_ms=worker.age_ms.percentiles(),
             latency_ms=worker.latency_ms.percentiles(),
             waiting=self._hand_over.depth,
@@ -205,6 +238,7 @@ class LiveService:
             account=self._ledger.account(),
             locks=dict(worker.locks),
             sinks={sink.name: self._stats(sink, worker.refused[sink.name]) for sink in self._sinks},
+            resources=resources(),
         )
 
     @staticmethod

@@ -1,75 +1,114 @@
-"""The thread that owns the grabber: opens it, reads it, hands every frame on, never waits for anyone downstream."""
+"""The thread that owns a grabber: opens it, reads it, gets it back when it fails, never waits for anyone downstream."""
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import queue
 import threading
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from drivers.errors import DeviceDisconnectedError, DeviceError, DeviceTimeoutError, EndOfRecordingError
-from service.acquisition.health import AcquisitionState, Rate
-from service.acquisition.ledger import Outcome
-from service.acquisition.repeated import RepeatedLog
+from drivers.errors import (
+    ConfigError,
+    DeviceDisconnectedError,
+    DeviceError,
+    DeviceNotFoundError,
+    DeviceStateError,
+    DeviceTimeoutError,
+    EndOfRecordingError,
+)
+from drivers.grabber import GrabberState
+from service.acquisition.content import NO_SIGNAL_WORDS, frozen, no_picture
+from service.acquisition.health import AcquisitionState
+from service.acquisition.ladder import Rung
+from service.acquisition.watchdog import Call, is_stalled, silence_limit_s
+from service.config.supervision import SupervisionSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator
 
     from drivers.frame import Frame
     from drivers.grabber import Clock, FrameFormat, Grabber
-    from service.acquisition.ledger import Ledger
-    from service.acquisition.slot import FrameQueue, HandOver
+    from service.acquisition.intake import Intake
+    from service.acquisition.ladder import Step
+    from service.acquisition.recovery import Recovery
 
-__all__ = ["AcquisitionThread", "is_stalled"]
+__all__ = ["AcquisitionThread", "Tell"]
 
 log = logging.getLogger(__name__)
 
-READ_TIMEOUT_S = 0.1
-STALL_FRAMES, STALL_S = 5, 0.5
+READ_TIMEOUT_S: Final = 0.1
+LOOK_S: Final = 1.0
+"""How often the device is asked for its signal and input."""
+PAUSE_S: Final = 0.05
+"""Longest single sleep: how soon a pause ends when a stop is asked for."""
+OPEN_S, START_S, CLOSE_S, ASK_S, RESET_S = 5.0, 3.0, 2.0, 1.0, 5.0
+"""What calls of a driver may take; see `watchdog.is_hung`."""
+UNSUPERVISED: Final = SupervisionSettings()
 
 
-def is_stalled(now_ns: int, last_frame_ns: int, rate_hz: float | None) -> bool:
-    """Whether the source has been silent for more than five frames and half a second."""
-    limit_s = max(STALL_S, STALL_FRAMES / rate_hz if rate_hz else 0.0)
-    return now_ns - last_frame_ns > limit_s * 1e9
+class Tell:
+    """Says what happens to the source: into the log, and to whoever shows events."""
+
+    def __init__(self, source: str, listener: Callable[[str, str], None] | None = None) -> None:
+        self._source, self._listener = source, listener
+
+    def __call__(self, text: str, level: str = "WARN") -> None:
+        """Tell a line of text: INFO, WARN or ERROR."""
+        line = text if text.startswith(self._source) else f"{self._source}: {text}"
+        log.log({"INFO": logging.INFO, "WARN": logging.WARNING}.get(level, logging.ERROR), "%s", line)
+        if self._listener is not None:
+            self._listener(line, level)
 
 
 class AcquisitionThread:
-    """Reads a grabber from `open` until stopped, or until it ends or fails.
+    """Reads a grabber from `open` until stopped, or until it ends or fails for good.
 
     Parameters
     ----------
     grabber
         Closed; from `open` on only this thread touches it.
-    hand_over
-        Where frames go to be measured.
-    ledger
-        Counts them.
-    subscribers
-        Lossless queues that get every frame there is room for.
+    intake
+        Where its frames go.
+    tell
+        Says what happens to it.
     prepare
-        Called once the grabber is open, before it streams: sets input, standard and controls.
+        Called whenever the grabber is open and does not stream: sets input, standard and controls.
+    recovery
+        Gets it back when it fails; None: every failure is final, as with recordings.
+    takes_over
+        In words, the call that the thread before this one is stuck in: goes on in its place, with another grabber.
     """
 
     def __init__(
         self,
         grabber: Grabber,
-        hand_over: HandOver,
-        ledger: Ledger,
-        subscribers: Sequence[FrameQueue] = (),
+        intake: Intake,
+        tell: Tell | None = None,
         prepare: Callable[[Grabber], None] | None = None,
+        recovery: Recovery | None = None,
+        takes_over: str | None = None,
     ) -> None:
-        self._grabber, self._hand_over, self._ledger, self._subscribers = grabber, hand_over, ledger, subscribers
-        self._prepare = prepare
+        self._grabber, self._intake, self._prepare, self._recovery = grabber, intake, prepare, recovery
+        self._tell = tell or Tell(grabber.name)
+        self._settings = UNSUPERVISED if recovery is None else recovery.settings
+        self._takes_over = takes_over
         self._clock: Clock = grabber.clock
-        self._log = RepeatedLog(log, self._clock)
         self._stop = threading.Event()
         self._opened = threading.Event()
         self._begin = threading.Event()
         self._done = threading.Event()
-        self._format: FrameFormat | None = None
-        self._last_frame_ns = 0
+        self._owning = threading.Lock()
+        self._left_behind = False
+        self._inputs_asked: queue.SimpleQueue[str] = queue.SimpleQueue()
+        self._input: str | None = None
+        self._look_ns = 0
+        self._told: tuple[type[Exception], Rung] | None = None
         self._thread = threading.Thread(target=self._run, name="bowlsight-acquisition", daemon=True)
-        self.rate = Rate()
+        self.call: Call | None = None
+        """The call of the driver under way."""
+        self.format: FrameFormat | None = None
+        self.inputs: tuple[str, ...] = ()
         self.state = AcquisitionState.CLOSED
         self.failure: Exception | None = None
         """What ended it, where that was neither a stop nor the end of a recording."""
@@ -85,8 +124,13 @@ class AcquisitionThread:
             raise DeviceTimeoutError(self._grabber.name, f"did not open within {timeout_s:g} s; is the device hung?")
         if self.failure is not None:
             raise self.failure
-        assert self._format is not None
-        return self._format
+        assert self.format is not None
+        return self.format
+
+    def take_over(self) -> None:
+        """Start the thread where the one before it is stuck."""
+        self._begin.set()
+        self._thread.start()
 
     def begin(self) -> None:
         """Let it stream."""
@@ -104,14 +148,15 @@ class AcquisitionThread:
         # An interrupted Thread.join takes the thread for ended (CPython 3.11): wait for an event instead.
         return self._done.wait(max(0.0, timeout_s))
 
-    @property
-    def generation(self) -> int:
-        """How often the grabber was opened."""
-        return self._grabber.generation
+    def leave_behind(self) -> None:
+        """Take nothing from it any more; it ends, and lets its device go, when the call that it is stuck in returns."""
+        with self._owning:
+            self._left_behind = True
+        self.request_stop()
 
-    def silent_s(self, now_ns: int) -> float | None:
-        """Time since the last frame; None before the first."""
-        return (now_ns - self._last_frame_ns) / 1e9 if self._ledger.account().delivered else None
+    def ask_for_input(self, name: str) -> None:
+        """Have the device switched to another input before its next frame is read."""
+        self._inputs_asked.put(name)
 
     # -- the thread itself ---------------------------------------------------------------------------------------------
 
@@ -123,7 +168,7 @@ class AcquisitionThread:
             self.state = AcquisitionState.ENDED
         except DeviceDisconnectedError as error:
             self._fail(AcquisitionState.LOST, error)
-        except DeviceError as error:
+        except (DeviceError, ConfigError) as error:
             self._fail(AcquisitionState.FAULTED, error)
         except Exception as error:  # whatever a driver does, the service ends in order
             log.exception("%s: the driver failed in a way it does not announce", self._grabber.name)
@@ -133,61 +178,206 @@ class AcquisitionThread:
 
     def _fail(self, state: AcquisitionState, error: Exception) -> None:
         self.failure, self.state = error, state
+        if self._recovery is not None:
+            self._recovery.trouble = ""
 
     def _acquire(self) -> None:
-        self._grabber.open()
-        if self._prepare is not None:
-            self._prepare(self._grabber)
-        self._format = self._grabber.format
+        if self._takes_over is None:
+            self._open()
         self._opened.set()
         while not self._begin.wait(1.0):
             pass
-        if self._stop.is_set():
-            return
-        self._ledger.begin_stream()
-        self._grabber.start()
-        self._last_frame_ns = self._clock.monotonic_ns()
+        step = self._first_step()
+        while not self._stop.is_set():
+            try:
+                if step is not None and self._paused(step.pause_s):
+                    self._climb(step)
+                if not self._stop.is_set():
+                    self._stream()
+            except Exception as error:  # noqa: BLE001 - whatever a driver raises, its device is tried again
+                if self._stop.is_set():  # what failed on the way out matters to nobody
+                    return
+                step = self._next_step(error)
+
+    def _first_step(self) -> Step | None:
+        if self._takes_over is None or self._recovery is None:
+            return None
+        self._tell(f"{self._takes_over} does not return; it is left behind, and the device opened anew", "ERROR")
+        self.state = AcquisitionState.BACKING_OFF
+        return self._recovery.after_hang(f"{self._takes_over} does not return")
+
+    @contextlib.contextmanager
+    def _calling(self, doing: str, allowed_s: float) -> Iterator[None]:
+        """Note what the driver is called for: a watchdog sees to it that this ends."""
+        self.call = Call(doing, self._clock.monotonic_ns(), allowed_s)
+        try:
+            yield
+        finally:
+            self.call = None
+
+    def _open(self) -> None:
+        grabber, before = self._grabber, self.format
+        with self._calling("opening", OPEN_S):
+            grabber.open()
+            if self._prepare is not None:
+                self._prepare(grabber)
+            self.inputs = tuple(i.name for i in grabber.inputs)
+            if self._input in self.inputs and grabber.input != self._input:
+                grabber.select_input(self._input)
+            self._input = grabber.input
+            self.format = grabber.format
+        self._tell_of_format(before, self.format)
+
+    def _tell_of_format(self, before: FrameFormat | None, now: FrameFormat) -> None:
+        if before is not None and (before.width_px, before.height_px) != (now.width_px, now.height_px):
+            self._tell(
+                f"its pictures are {now.width_px}x{now.height_px} px now; they were "
+                f"{before.width_px}x{before.height_px} px"
+            )
+
+    def _stream(self) -> None:
+        """Start, and read until something goes wrong or a stop is asked for."""
+        self._intake.begin_stream(self._grabber.generation)
+        if self._recovery is not None:
+            self._recovery.begin_stream()
+        with self._calling("starting", START_S):
+            self._grabber.start()
+        self._look_ns = 0
         while not self._stop.is_set():
             self._read_once()
 
     def _read_once(self) -> None:
         try:
-            frame = self._grabber.read(READ_TIMEOUT_S)
+            with self._calling("reading", READ_TIMEOUT_S):
+                frame = self._grabber.read(READ_TIMEOUT_S)
         except TimeoutError:
-            self._watch()
+            frame = None
+        if frame is not None:
+            self._take(frame)
+        self._switch_as_asked()
+        if self._recovery is not None and self._clock.monotonic_ns() >= self._look_ns:
+            self._look()
+        if frame is None:
+            self._check_silence()
+
+    def _take(self, frame: Frame) -> None:
+        with self._owning:
+            if self._left_behind:
+                return
+            self._intake.take(frame)
+        assert self._intake.last is not None, "just taken"
+        bad = self._intake.last.bad
+        self.state = AcquisitionState.DEGRADED if bad else AcquisitionState.RUNNING
+        if self._recovery is None:
             return
-        self._ledger.arrived(frame)
-        self._last_frame_ns = self._clock.monotonic_ns()
-        self.rate.add(self._last_frame_ns)
-        if frame.defect is None:
-            self.state = AcquisitionState.RUNNING
-        else:
-            self._log.warning("defect", f"{frame.source}: frame {frame.sequence} is bad: {frame.defect}")
-            self.state = AcquisitionState.DEGRADED
-        self._pass_on(frame)
+        if (words := self._recovery.frame(bad=bad)) is not None:
+            self._told = None
+            self._tell(f"{words}; generation {self._intake.generation}", "INFO")
+        if bad:
+            self._check_frozen()
 
-    def _pass_on(self, frame: Frame) -> None:
-        for queue in self._subscribers:
-            if not queue.offer(frame):
-                self._log.warning(
-                    "overflow", f"{frame.source}: a lossless queue is full; frame {frame.sequence} left out"
-                )
-        displaced = self._hand_over.put(frame)
-        if displaced is not None and displaced is not frame:  # itself: closed, left in flight
-            self._ledger.settle(displaced, Outcome.SUPERSEDED)
+    # -- what goes wrong without an error ------------------------------------------------------------------------------
 
-    def _watch(self) -> None:
-        assert self._format is not None
-        if is_stalled(self._clock.monotonic_ns(), self._last_frame_ns, self._format.rate_hz):
-            self._log.warning("stalled", f"{self._grabber.name}: no frame comes any more")
-            self.state = AcquisitionState.STALLED
+    def _check_silence(self) -> None:
+        last = self._intake.last
+        assert last is not None, "the stream began"
+        rate_hz = None if self.format is None else self.format.rate_hz
+        limit_s = silence_limit_s(self._settings, rate_hz, started=last.started)
+        if not is_stalled(self._clock.monotonic_ns(), last.time_ns, limit_s):
+            return
+        self.state = AcquisitionState.STALLED
+        if self._recovery is not None and not self._is_without_signal():
+            raise DeviceTimeoutError(self._grabber.name, f"no frame for {limit_s:.1f} s")
+
+    def _is_without_signal(self) -> bool:
+        """Whether the device says why it gives no frames: then it is well, and waits for its signal as we do."""
+        self._look()
+        watch = self._intake.watch
+        return watch is not None and watch.content.signal in NO_SIGNAL_WORDS
+
+    def _check_frozen(self) -> None:
+        watch, settings = self._intake.watch, self._settings
+        if watch is None or no_picture(watch.content, settings.frozen_frames):
+            return
+        frozen_s = (self._clock.monotonic_ns() - watch.content.same_since_ns) / 1e9
+        if frozen(watch.content, settings.frozen_frames) and frozen_s > settings.frozen_restart_s:
+            raise DeviceTimeoutError(self._grabber.name, f"its picture has been frozen for {frozen_s:.0f} s")
+
+    def _look(self) -> None:
+        """Ask the device for its signal, and whether it is still switched to the input that it was given."""
+        self._look_ns = self._clock.monotonic_ns() + int(LOOK_S * 1e9)
+        with self._calling("asking for its signal", ASK_S):
+            signal, now = self._grabber.signal_status(), self._grabber.input
+        if self._intake.watch is not None:
+            self._intake.watch.signalled(signal)
+        if now != self._input and self._input is not None:
+            self._tell(f"somebody switched it to input {now}; switching back to {self._input}")
+            self._switch(self._input)
+
+    def _switch_as_asked(self) -> None:
+        with contextlib.suppress(queue.Empty):
+            name = self._inputs_asked.get_nowait()
+            try:
+                self._switch(name)
+            except DeviceStateError as error:
+                self._tell(str(error))
+            else:
+                self._tell(f"switched to input {name}", "INFO")
+
+    def _switch(self, name: str) -> None:
+        with self._calling(f"switching to input {name}", ASK_S):
+            self._grabber.select_input(name)
+        self._input = name
+        self._intake.begin_view()
+        self._look_ns = 0
+
+    # -- getting it back -----------------------------------------------------------------------------------------------
+
+    def _next_step(self, error: Exception) -> Step:
+        """What to try next; raises the error where trying again cannot help, or nobody wants it."""
+        streams = self._grabber.state is GrabberState.STREAMING
+        step = None
+        if self._recovery is not None and not isinstance(error, EndOfRecordingError):
+            step = self._recovery.after(error, streams=streams)
+        if step is None:
+            raise error
+        if not isinstance(error, DeviceError):
+            log.error("%s: the driver failed in a way it does not announce", self._grabber.name, exc_info=error)
+        gone = isinstance(error, (DeviceDisconnectedError, DeviceNotFoundError))
+        self.state = AcquisitionState.LOST if gone else AcquisitionState.BACKING_OFF
+        if (kind := (type(error), step.rung)) != self._told:  # the same again and again is told once
+            self._told = kind
+            self._tell(f"{error}; {step.rung.words}")
+        return step
+
+    def _paused(self, seconds: float) -> bool:
+        """Wait; False where a stop was asked for."""
+        end_ns = self._clock.monotonic_ns() + seconds * 1e9
+        while (left_s := (end_ns - self._clock.monotonic_ns()) / 1e9) > 0 and not self._stop.is_set():
+            self._clock.sleep(min(left_s, PAUSE_S))
+        return not self._stop.is_set()
+
+    def _climb(self, step: Step) -> None:
+        """Bring the grabber to where it can be started."""
+        grabber = self._grabber
+        if step.rung is Rung.RESTART and grabber.state is GrabberState.STREAMING:
+            with self._calling("stopping", CLOSE_S):
+                grabber.stop()
+            return
+        with self._calling("closing", CLOSE_S):
+            grabber.close()
+        if step.rung is Rung.RESET and self._recovery is not None:
+            with self._calling("resetting", RESET_S):
+                self._recovery.reset()
+        self._open()
 
     def _let_go(self) -> None:
         try:
             self._grabber.close()
         except Exception:
             log.exception("%s: closing failed", self._grabber.name)
-        for queue in (self._hand_over, *self._subscribers):
-            queue.close()
+        with self._owning:
+            if not self._left_behind:
+                self._intake.close()
         self._opened.set()
         self._done.set()

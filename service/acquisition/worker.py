@@ -77,6 +77,8 @@ class Worker:
         self.locks: collections.Counter[str] = collections.Counter()
         self.refused: collections.Counter[str] = collections.Counter()
         self.latest: Answer | None = None
+        self.measuring_ns: int | None = None
+        """When the frame in hand was begun to be measured; None where none is."""
         self.failure: Exception | None = None
 
     def start(self) -> None:
@@ -110,13 +112,16 @@ class Worker:
             self._done.set()
 
     def _process(self, frame: Frame) -> None:
-        age_s = (self._clock.monotonic_ns() - frame.received_ns) / 1e9
+        began_ns = self._clock.monotonic_ns()
+        age_s = (began_ns - frame.received_ns) / 1e9
         if self._oldest_s is not None and age_s > self._oldest_s:
             self._ledger.settle(frame, Outcome.TOO_OLD)
             self._log.warning("old", f"{frame.source}: frame {frame.sequence} waited {age_s:.2f} s; not measured")
             return
         self.age_ms.add(age_s * 1e3)
+        self.measuring_ns = began_ns
         results, outcome = self._measurer.answer(frame)
+        self.measuring_ns = None
         self._ledger.settle(frame, outcome)
         now_ns = self._clock.monotonic_ns()
         latency_ms = (now_ns - frame.received_ns) / 1e6

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from drivers.replay import ReplayGrabber
+from service.acquisition.liveness import Liveness
 from service.cli.live import LiveRun, watch
 from service.config.cameras import read_camera
 from service.config.generators import load_generator
@@ -22,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     generator = load_generator(DEMO_GENERATOR)
     return watch(
         LiveRun(
-            kind="REPLAY",
+            kind=Liveness.REPLAY,
             grabber=ReplayGrabber(demo_video(), loop=True, name="demo"),
             generator=generator,
             camera=read_camera(demo_camera()),

@@ -8,12 +8,11 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from service.acquisition.health import AcquisitionState
 from service.acquisition.live import STOP_S, LiveService
 from service.cli.inputs import fitting_camera
 from service.cli.status import status_parts, summary_lines
 from service.cli.terminal import Interrupted, StatusLine, say
-from service.cli.viewing import Viewing, make_viewing
+from service.cli.viewing import make_viewing
 from service.vision.process import Measurer, warm_up
 
 if TYPE_CHECKING:
@@ -21,6 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from drivers.grabber import FrameFormat, Grabber
+    from service.acquisition.liveness import Liveness
+    from service.acquisition.recovery import Supervision
     from service.alignment.interpreter import Interpreter
     from service.config.generators import SteamGenerator
     from service.config.station import MeasuringSettings, ViewerSettings
@@ -29,7 +30,6 @@ if TYPE_CHECKING:
 __all__ = ["LiveRun", "prepare_kernels", "watch"]
 
 REFRESH_S = 0.2
-EVENT_LEVELS = {AcquisitionState.RUNNING: "INFO", AcquisitionState.STALLED: "WARN"}
 FLUSH_S = 10.0
 """How long sinks may take to flush when nobody asked for a stop."""
 
@@ -41,16 +41,18 @@ class LiveRun:
     Attributes
     ----------
     kind
-        LIVE, REPLAY or SIMULATED.
+        LIVE, REPLAY or SIMULATED, when nothing is wrong.
     prepare
         Sets the device up once it is open: input, standard, controls.
     every_frame
         Measure all frames, at the pace at which that goes; otherwise the newest.
     interpreter
         Names the tubes and judges the alignment, where that is set up.
+    supervision
+        How a live source is watched and got back; None for recordings.
     """
 
-    kind: str
+    kind: Liveness
     grabber: Grabber
     generator: SteamGenerator
     camera: Camera | None
@@ -59,6 +61,7 @@ class LiveRun:
     prepare: Callable[[Grabber], None] | None = None
     every_frame: bool = False
     interpreter: Interpreter | None = None
+    supervision: Supervision | None = None
 
 
 def watch(live: LiveRun, args: argparse.Namespace) -> int:
@@ -78,6 +81,9 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         field=live.measuring.field_order.field,
         oldest_s=None if live.every_frame else live.measuring.oldest_frame_ms / 1e3,
         interpreter=live.interpreter,
+        kind=live.kind,
+        supervision=live.supervision,
+        tell=viewing.event,
     )
     with service:
         service.open()
@@ -85,7 +91,7 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         viewing.announce()
         began_s = time.monotonic()
         service.begin()
-        ended_by = _follow(live.kind, service, viewing, args.seconds or math.inf)
+        ended_by = _follow(service, args.seconds or math.inf)
         viewing.event(ended_by, "INFO" if service.failure is None else "ERROR")
         service.stop(FLUSH_S if ended_by == "ended" else STOP_S)
     return _conclude(service, ended_by, time.monotonic() - began_s)
@@ -103,17 +109,13 @@ def prepare_kernels() -> None:
         notice.join()
 
 
-def _follow(kind: str, service: LiveService, viewing: Viewing, seconds: float) -> str:
+def _follow(service: LiveService, seconds: float) -> str:
     """Show the status until it is over; in a word, why it is."""
-    status, state, end_s = StatusLine(), AcquisitionState.OPENING, time.monotonic() + seconds
+    status, end_s = StatusLine(), time.monotonic() + seconds
     try:
         while not service.wait(REFRESH_S):
-            health = service.health()
-            now = kind, health, service.latest
+            now = service.health(), service.latest
             status.show(status_parts(*now), status_parts(*now, brief=True))
-            if health.state is not state and health.state in EVENT_LEVELS:
-                state = health.state
-                viewing.event(f"{kind} {state}", EVENT_LEVELS[state])
             if time.monotonic() > end_s:
                 return "time is up"
     except Interrupted:

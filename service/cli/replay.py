@@ -7,6 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from drivers.replay import ReplayGrabber
+from service.acquisition.liveness import Liveness
 from service.cli.inputs import field_order, station
 from service.cli.interpreting import interpreter_for
 from service.cli.live import LiveRun, watch
@@ -25,7 +26,7 @@ def run(args: argparse.Namespace) -> int:
     generator = load_generator(args.generator) if args.generator else s.generator
     return watch(
         LiveRun(
-            kind="REPLAY",
+            kind=Liveness.REPLAY,
             grabber=ReplayGrabber(args.path, speed=args.speed, loop=args.loop),
             generator=generator,
             camera=read_camera(args.camera) if args.camera else s.camera,

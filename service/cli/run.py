@@ -11,6 +11,8 @@ from drivers.opening import open_grabber
 from drivers.replay import ReplayGrabber
 from drivers.scene import GENERATORS
 from drivers.simulated import SimulatedGrabber
+from service.acquisition.liveness import Liveness
+from service.acquisition.recovery import Supervision
 from service.cli.inputs import station
 from service.cli.interpreting import interpreter_for
 from service.cli.live import LiveRun, watch
@@ -32,9 +34,10 @@ def run(args: argparse.Namespace) -> int:
     """Grab and measure; returns the exit status."""
     s = station(args.config)
     grabber = _grabber(s)
-    kind, camera = "REPLAY" if isinstance(grabber, ReplayGrabber) else "LIVE", s.camera
+    recorded = isinstance(grabber, ReplayGrabber)
+    kind, camera = Liveness.REPLAY if recorded else Liveness.LIVE, s.camera
     if isinstance(grabber, SimulatedGrabber):
-        kind, camera = "SIMULATED", s.camera or camera_of(grabber.scene.optics)
+        kind, camera = Liveness.SIMULATED, s.camera or camera_of(grabber.scene.optics)
     return watch(
         LiveRun(
             kind=kind,
@@ -45,6 +48,7 @@ def run(args: argparse.Namespace) -> int:
             viewer=s.viewer,
             prepare=_preparing(s.source),
             interpreter=interpreter_for(args, s.identity, s.alignment, s.generator),
+            supervision=None if recorded else Supervision(s.supervision, remake=lambda: _grabber(s)),
         ),
         args,
     )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from service.acquisition.health import AcquisitionState
+from service.acquisition.liveness import Liveness
 from service.sinks.table import tube_counts
 from service.vision.measurement import Lock
 
@@ -18,13 +19,14 @@ if TYPE_CHECKING:
 __all__ = ["status_parts", "summary_lines"]
 
 
-def status_parts(kind: str, health: Health, latest: Answer | None, *, brief: bool = False) -> list[str]:
-    """Parts of the status line, the most important first; `kind` is LIVE, REPLAY or SIMULATED."""
-    parts = [_state(kind, health)]
+def status_parts(health: Health, latest: Answer | None, *, brief: bool = False) -> list[str]:
+    """Parts of the status line, the most important first."""
+    parts = [_state(health)]
     if latest is not None:
         measurement = latest.results[-1].measurement
-        stale = health.state in (AcquisitionState.STALLED, AcquisitionState.LOST, AcquisitionState.FAULTED)
-        parts += [f"last: {p}" if stale and i == 0 else p for i, p in enumerate(_measured(measurement, brief))]
+        parts += [
+            f"last: {p}" if not health.shown.good and i == 0 else p for i, p in enumerate(_measured(measurement, brief))
+        ]
         parts.append(f"{'' if brief else 'latency '}{latest.latency_ms:.0f} ms")
     account = health.account
     parts.append(f"{account.dropped:,} dropped")
@@ -35,18 +37,13 @@ def status_parts(kind: str, health: Health, latest: Answer | None, *, brief: boo
     return parts
 
 
-def _state(kind: str, health: Health) -> str:
-    match health.state:
-        case AcquisitionState.RUNNING:
-            return f"{kind} {health.capture_fps:.1f} fps"
-        case AcquisitionState.DEGRADED:
-            return f"{kind} {health.capture_fps:.1f} fps, BAD FRAME"
-        case AcquisitionState.STALLED if health.silent_s is not None:
-            return f"{kind} STALLED: no frame for {health.silent_s:.1f} s"
-        case AcquisitionState.STALLED:
-            return f"{kind} STALLED: no frame yet"
-        case state:
-            return f"{kind} {state}"
+def _state(health: Health) -> str:
+    shown = health.shown
+    if shown.good:
+        bad = ", BAD FRAME" if health.state is AcquisitionState.DEGRADED else ""
+        return f"{shown.liveness} {health.capture_fps:.1f} fps{bad}"
+    silent = shown.liveness in (Liveness.STALE, Liveness.RECONNECTING) and health.silent_s is not None
+    return f"{shown} (last frame {health.silent_s:.1f} s ago)" if silent else str(shown)
 
 
 def _measured(m: Measurement, brief: bool) -> list[str]:

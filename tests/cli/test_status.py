@@ -4,6 +4,8 @@ import pytest
 
 from service.acquisition.health import AcquisitionState, Health, Percentiles
 from service.acquisition.ledger import Account
+from service.acquisition.liveness import Liveness, Shown
+from service.acquisition.resources import Resources
 from service.acquisition.worker import Answer
 from service.cli.status import status_parts, summary_lines
 from service.sinks.base import SinkStats
@@ -12,15 +14,16 @@ from tests.fakes.results import make_result
 from tests.fakes.scripted import make_frame
 
 HEALTH = Health(
-    state=AcquisitionState.RUNNING, generation=1, capture_fps=25.0, result_fps=24.9, silent_s=0.02,
+    shown=Shown(Liveness.LIVE), state=AcquisitionState.RUNNING, generation=1, recoveries=0,
+    capture_fps=25.0, result_fps=24.9, silent_s=0.02, interval_ms=Percentiles(40.0, 41.0),
     age_ms=Percentiles(0.2, 1.1), latency_ms=Percentiles(8.0, 12.5), waiting=0, overflowed=0,
     account=Account(span=103, delivered=100, lost=3, processed=98, superseded=2),
-    locks={"full": 90, "none": 8}, sinks={"viewer": SinkStats(98, 4, 1, 2)},
+    locks={"full": 90, "none": 8}, sinks={"viewer": SinkStats(98, 4, 1, 2)}, resources=Resources(200 * 2**20, 40, 12),
 )  # fmt: skip
 
 
 def line(health=HEALTH, **result):
-    return " | ".join(status_parts("LIVE", health, Answer(make_frame(), (make_result(**result),), 8.4)))
+    return " | ".join(status_parts(health, Answer(make_frame(), (make_result(**result),), 8.4)))
 
 
 def test_it_tells_every_figure_with_unit_and_sigma():
@@ -32,8 +35,8 @@ def test_it_tells_every_figure_with_unit_and_sigma():
 
 def test_the_brief_form_fits_an_old_terminal_up_to_the_tubes():
     answer = Answer(make_frame(), (make_result(measured=312, inferred=26),), 8.4)
-    brief = " · ".join(status_parts("REPLAY", HEALTH, answer, brief=True))
-    assert brief == "REPLAY 25.0 fps · full · 1000.00 ±0.20 mm · 5.00 ±0.05 deg · 312+26 tubes · 8 ms · 5 dropped"
+    brief = " · ".join(status_parts(HEALTH, answer, brief=True))
+    assert brief == "LIVE 25.0 fps · full · 1000.00 ±0.20 mm · 5.00 ±0.05 deg · 312+26 tubes · 8 ms · 5 dropped"
     assert brief.index(" tubes") + len(" tubes") < 80
 
 
@@ -43,21 +46,26 @@ def test_a_doubt_and_a_reason_are_said():
 
 
 @pytest.mark.parametrize(
-    ("state", "silent_s", "start"),
+    ("shown", "state", "start"),
     [
-        ("degraded", 0.1, "LIVE 25.0 fps, BAD FRAME | lock full"),
-        ("stalled", 2.34, "LIVE STALLED: no frame for 2.3 s | last: lock full"),
-        ("stalled", None, "LIVE STALLED: no frame yet | last: lock full"),
-        ("lost", 0.1, "LIVE lost | last: lock full"),
-        ("opening", None, "LIVE opening"),
+        (Shown(Liveness.REPLAY), "running", "REPLAY 25.0 fps | lock full"),
+        (Shown(Liveness.LIVE), "degraded", "LIVE 25.0 fps, BAD FRAME | lock full"),
+        (
+            Shown(Liveness.STALE, "no frame comes"),
+            "stalled",
+            "STALE: no frame comes (last frame 2.3 s ago) | last: lock",
+        ),
+        (Shown(Liveness.FROZEN, "the same"), "degraded", "FROZEN: the same | last: lock full"),
+        (Shown(Liveness.RECONNECTING, "unplugged"), "lost", "RECONNECTING: unplugged (last frame 2.3 s ago) | last"),
+        (Shown(Liveness.STARTING), "opening", "STARTING | last"),
     ],
 )
-def test_what_is_not_live_is_not_called_so(state, silent_s, start):
-    assert line(replace(HEALTH, state=AcquisitionState(state), silent_s=silent_s)).startswith(start)
+def test_what_is_not_live_is_not_called_so(shown, state, start):
+    assert line(replace(HEALTH, shown=shown, state=AcquisitionState(state), silent_s=2.34)).startswith(start)
 
 
 def test_before_the_first_answer_there_is_only_the_state():
-    assert status_parts("REPLAY", replace(HEALTH, account=Account()), None) == ["REPLAY 25.0 fps", "0 dropped"]
+    assert status_parts(replace(HEALTH, account=Account()), None) == ["LIVE 25.0 fps", "0 dropped"]
 
 
 def test_bad_and_missing_frames_are_not_kept_quiet():
