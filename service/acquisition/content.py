@@ -75,7 +75,7 @@ class PictureWatch:
 
     def restart(self) -> None:
         """Forget the frames so far: a stream begins."""
-        self._before: dict[Field, Pixels] = {}
+        self._before: dict[Field, tuple[Pixels, int]] = {}  # of interlaced video, each field has its own past
         self.content = Content()
 
     def signalled(self, signal: SignalStatus) -> None:
@@ -85,11 +85,12 @@ class PictureWatch:
     def look(self, frame: Frame) -> Frame:
         """Give the frame, marked as bad where it is frozen or flat, or the device says that there is no signal."""
         before, c = self._before.get(frame.field), self.content
-        self._before[frame.field] = frame.pixels  # of interlaced video, each field has its own past
-        same = before is not None and is_same(frame.pixels, before)
+        same = before is not None and is_same(frame.pixels, before[0])
+        count = before[1] + 1 if before is not None and same else 1
+        self._before[frame.field] = frame.pixels, count
         flat = is_flat(frame.pixels, self._flat_levels)
         self.content = Content(
-            same=c.same + 1 if same else 1,
+            same=count,
             flat=c.flat + 1 if flat else 0,
             same_since_ns=c.same_since_ns if same else frame.received_ns,
             signal=c.signal,
