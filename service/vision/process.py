@@ -11,9 +11,11 @@ from service.vision.camera import Camera, TsaiLens
 from service.vision.compiled import median_of
 from service.vision.estimates import estimates
 from service.vision.fields import Interlace, Scan
+from service.vision.keyframes import Keyframe
 from service.vision.lattice import Arrangement, Lattice
 from service.vision.measurement import Doubt, Lock, Measurement, Tubes
 from service.vision.projection import project
+from service.vision.selfcalibration import calibrate
 from service.vision.stopwatch import Stopwatch
 from service.vision.tracking import Tracker
 from service.vision.view import View
@@ -185,13 +187,23 @@ def warm_up(tick: Callable[[], int]) -> None:
     """Compile every kernel, or load it from the cache of an earlier run: before the first frame, never in its way."""
     lattice = Lattice(Arrangement.TRIANGULAR, 25.4, 8.4, 9.5)
     camera = Camera((320, 240), (0.01, 0.01), 8.0, TsaiLens(), (159.5, 119.5))
-    rows, columns = np.mgrid[-8:9, -8:9]
-    sheet = lattice.sheet_points(rows.ravel(), columns.ravel())
-    picture = np.full((240, 320), 160, np.uint8)
-    for x, y in project(camera.vector(), np.eye(3), np.array([0.0, 0.0, 700.0]), sheet):
+    unknown = Camera(camera.image_size_px, camera.pixel_pitch_mm)
+    standing, jumped = _sketch(camera, lattice, 0.0), _sketch(camera, lattice, 0.45)
+    for known, scale in ((camera, 1), (camera, 257), (unknown, 1)):
+        measurer = Measurer(known, lattice, tick)
+        seen: list[Measurement] = []
+        for k, picture in enumerate((standing, standing, standing, jumped)):
+            pixels = picture if scale == 1 else picture.astype(np.uint16) * np.uint16(scale)
+            seen += measurer.measure(pixels, k * USUAL_PERIOD_NS)
+    calibrate([Keyframe.of(m, lattice, 0) for m in seen], unknown, lattice)
+
+
+def _sketch(camera: Camera, lattice: Lattice, pitches: float) -> NDArray[np.uint8]:
+    """Draw a sheet so many pitches aside, with a place where no tube is."""
+    rows, columns = (a.ravel() for a in np.mgrid[-8:9, -8:9])
+    sheet = lattice.sheet_points(rows, columns)[(rows != 1) | (columns != 1)]
+    aside = np.array([pitches * lattice.pitch_mm, 0.0, 700.0])
+    picture = np.full(camera.image_size_px[::-1], 160, np.uint8)
+    for x, y in project(camera.vector(), np.eye(3), aside, sheet):
         cv2.circle(picture, (round(16 * x), round(16 * y)), round(16 * 9.6), 20, -1, cv2.LINE_AA, 4)
-    for pixels in (picture, picture.astype(np.uint16) * np.uint16(257)):
-        measurer = Measurer(camera, lattice, tick)
-        for k in range(3):
-            measurer.measure(pixels, k * USUAL_PERIOD_NS)
-    Measurer(Camera((320, 240), (0.01, 0.01)), lattice, tick).measure(picture, 0)
+    return picture

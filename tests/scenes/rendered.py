@@ -231,3 +231,28 @@ def index_share(told, true) -> float:
 def robust_sd(values) -> float:
     """1.4826 times the median absolute value: 1 for standard normal errors about 0."""
     return 1.4826 * float(np.median(np.abs(np.concatenate([np.ravel(v) for v in values]))))
+
+
+def film(poses, tubes: TubeLattice | str = "system80", look: Look = PLAIN, *, optics: Optics | None = None, seed=0,
+         sheet: Sheet | None = None, bits=8, **optics_settings) -> list[View]:  # fmt: skip
+    """Draw a picture of each pose, all through the same camera."""
+    tubes = GENERATORS[tubes] if isinstance(tubes, str) else tubes
+    optics = optics or optics_of(pitch_mm=tubes.pitch_mm, **optics_settings)
+    sheet = sheet or sheet_of(tubes, look, seed=seed)
+    renderer = Renderer(optics, sheet, look, np.random.default_rng([seed, 2]))
+    views = []
+    for k, (rotation, translation) in enumerate(poses):
+        noisy = add_noise(renderer.draw(rotation, translation), look, np.random.default_rng([seed, 3, k]))
+        views.append(View(quantised(noisy, bits), optics, sheet, look, rotation, translation))
+    return views
+
+
+def woven(views: list[View], *, bottom_first=False) -> list[np.ndarray]:
+    """Frames of two fields each, from pictures at twice the frame rate."""
+    frames = []
+    for first, second in zip(views[::2], views[1::2], strict=True):
+        frame = first.image.copy()
+        late = 0 if bottom_first else 1
+        frame[late::2] = second.image[late::2]
+        frames.append(frame)
+    return frames
