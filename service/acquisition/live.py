@@ -115,9 +115,9 @@ class LiveService:
         self.stuck: list[str] = []
         """What did not stop in time, for the summary."""
 
-    def subscribe(self, capacity: int) -> FrameQueue:
-        """Ask, before `start`, for every frame in a bounded queue of its own."""
-        queue = FrameQueue(capacity)
+    def subscribe(self, capacity: int, *, waits: bool = False) -> FrameQueue:
+        """Ask, before `start`, for every frame in a bounded queue; with `waits`, the source waits for room."""
+        queue = FrameQueue(capacity, waits=waits)
         self._subscribers.append(queue)
         return queue
 
@@ -177,7 +177,8 @@ class LiveService:
         deadline, threads_s = time.monotonic() + timeout_s, timeout_s - SINKS_SHARE_S
         self._acquisition.request_stop()
         self._acquisition.join(threads_s / 3)
-        self._hand_over.close()
+        for queue in (self._hand_over, *self._subscribers):
+            queue.close()
         if self._worker is not None and not self._worker.join(threads_s / 3):
             self._worker.request_stop()
         for part, name in ((self._acquisition, "the acquisition thread"), (self._worker, "the measuring thread")):

@@ -91,15 +91,15 @@ class FrameQueue:
     """Every frame, in order, with a bound.
 
     `put` waits for room, for sources that can wait (a recording at full speed). `offer` never waits, for sources that
-    cannot: what finds no room is counted in `overflowed`.
+    cannot: what finds no room is counted in `overflowed`. With `waits`, `offer` waits as `put` does.
     """
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, *, waits: bool = False) -> None:
         if capacity < 1:
             raise ValueError(f"a queue of {capacity} frames holds none; give at least 1")
         self._changed = threading.Condition()
         self._frames: deque[Frame] = deque()
-        self._capacity = capacity
+        self._capacity, self._waits = capacity, waits
         self._closed = False
         self.overflowed = 0
         """Frames that `offer` turned away."""
@@ -113,6 +113,8 @@ class FrameQueue:
 
     def offer(self, frame: Frame) -> bool:
         """Append a frame if there is room now."""
+        if self._waits:
+            return self.put(frame) is None
         with self._changed:
             taken = len(self._frames) < self._capacity and self._append(frame)
             self.overflowed += not taken

@@ -352,7 +352,7 @@ class AcquisitionThread:
 
     def _paused(self, seconds: float) -> bool:
         """Wait; False where a stop was asked for."""
-        end_ns = self._clock.monotonic_ns() + seconds * 1e9
+        end_ns = self._clock.monotonic_ns() + round(seconds * 1e9)
         while (left_s := (end_ns - self._clock.monotonic_ns()) / 1e9) > 0 and not self._stop.is_set():
             self._clock.sleep(min(left_s, PAUSE_S))
         return not self._stop.is_set()
