@@ -68,6 +68,13 @@ class Camera:
         """Whether nothing is left to be estimated."""
         return None not in (self.focal_length_mm, self.lens, self.principal_point_px, self.sx)
 
+    def sigma(self, parameter: str) -> float:
+        """One sigma of a parameter; 0 where it counts as exact, or is not known at all."""
+        if parameter not in self.parameters:
+            return 0.0
+        i = self.parameters.index(parameter)
+        return math.sqrt(float(self.covariance[i, i]))
+
     @property
     def middle_px(self) -> tuple[float, float]:
         """The picture's middle, where an unknown principal point starts."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
@@ -61,6 +61,11 @@ class Motion:
         before = self.rotation[:, :2] @ anchor_mm + self.translation_mm
         speed = (rotation[:, :2] @ anchor_mm + translation_mm - before) / dt
         return Motion(rotation, translation_mm, anchor_mm, time_ns, turn, speed)
+
+    def relabelled(self, step_mm: Array) -> Motion:
+        """The same motion where every tube's nominal place has grown by (2,) mm: an index mended is no travel."""
+        translation = self.translation_mm - self.rotation[:, :2] @ step_mm
+        return replace(self, translation_mm=translation, anchor_mm=self.anchor_mm + step_mm)
 
     def travelled_mm(self, seconds: float) -> float:
         """How far the sheet may have moved across the view: at the last speed, or from rest."""

@@ -128,7 +128,7 @@ class Measurer:
         if self._interlace.scan is not Scan.INTERLACED or top is None:
             return [answer]
         self._tracker = before.copy()
-        self._tracker.follow(top, 0, time_ns)
+        self._tracker.follow(top, time_ns)
         return self._fields(pixels, time_ns, top_first=self._interlace.top_first)
 
     def _both_fields(
@@ -137,7 +137,7 @@ class Measurer:
         """Measure top and bottom field, each about the frame's pose; where that shows none, one about the other."""
         tracker = before.copy()
         if refined is not None:
-            tracker.follow(refined, None, time_ns)
+            tracker.follow(refined, time_ns)
         seen = []
         for parity in (0, 1):
             field = packed(whole[parity::2])

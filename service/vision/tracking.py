@@ -17,6 +17,7 @@ from service.vision.pose import prior_of
 from service.vision.refinement import refine
 from service.vision.rims import start_profile
 from service.vision.search import search_shift
+from service.vision.working import WorkingCamera
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -91,7 +92,7 @@ class Tracker:
     def __init__(self, camera: Camera, lattice: Lattice) -> None:
         self.camera, self.lattice = camera, lattice
         self.motion: Motion | None = None
-        self._estimate = camera
+        self._working = WorkingCamera.of(camera, lattice)
         self._common: Common | None = None
         self._pictures = 0
         self._radius_px: float | None = None
@@ -109,7 +110,7 @@ class Tracker:
             return math.nan
         depth = float(self.motion.rotation[2, :2] @ self.motion.anchor_mm + self.motion.translation_mm[2])
         speed = float(np.hypot(*self.motion.speed_mm_per_s[:2]))
-        return speed * period_ns * 1e-9 * float(self._estimate.vector()[0]) / depth
+        return speed * period_ns * 1e-9 * float(self._working.camera.vector()[0]) / depth
 
     def step(self, image: Image, parity: int | None, time_ns: int, watch: Stopwatch) -> Seen:
         """Measure one picture: track, else search nearby, else acquire.
@@ -122,7 +123,7 @@ class Tracker:
             0 for the top field, 1 for the bottom one, None for a frame.
         """
         known = self.camera if parity is None else self.camera.of_field(parity)
-        start = self._estimate if parity is None else self._estimate.of_field(parity)
+        start = self._working.camera if parity is None else self._working.camera.of_field(parity)
         seen = self._track(image, known, start, parity, time_ns, watch)
         if seen is None:
             seen = self._acquire(image, known, parity, time_ns, watch)
@@ -131,7 +132,7 @@ class Tracker:
         if self.motion is not None and self._may_have_slipped(seen.gap, time_ns):
             self._doubt = True
         refined = self._settled(seen.refined)
-        self.follow(refined, parity, time_ns)
+        self.follow(refined, time_ns)
         return replace(seen, refined=refined, index_in_doubt=self._doubt)
 
     def _may_have_slipped(self, gap: float, time_ns: int) -> bool:
@@ -152,6 +153,8 @@ class Tracker:
             self._doubt = False
             if verdict.slipped:
                 refined = refined.shifted(verdict.row, verdict.column, self.lattice)
+                step = self.lattice.sheet_points(np.array([verdict.row]), np.array([verdict.column]))[0]
+                self.motion = None if self.motion is None else self.motion.relabelled(step)
         elif verdict is not None and verdict.slipped and verdict.margin > SUSPICIOUS:
             self._doubt = True
         if not self._doubt:
@@ -180,7 +183,8 @@ class Tracker:
             )  # fmt: skip
         if refined is None or not self._holds(refined):
             return None
-        off = looked_at(refined.fit.rotation, refined.fit.translation_mm) - looked_at(rotation, translation)
+        fit = self._working.pose(refined)
+        off = looked_at(fit.rotation, fit.translation_mm) - looked_at(rotation, translation)
         return Seen(refined, None, float(np.hypot(*off)) / self.lattice.pitch_mm)
 
     def _holds(self, refined: Refined | None) -> bool:
@@ -220,17 +224,17 @@ class Tracker:
             return centred(fit.rotation, fit.translation_mm, self.lattice)
         return aligned(fit.rotation, fit.translation_mm, self.motion.at(time_ns), self.lattice)
 
-    def follow(self, refined: Refined, parity: int | None, time_ns: int) -> None:
+    def follow(self, refined: Refined, time_ns: int) -> None:
         """Take a measured pose for the last one."""
-        fit = refined.fit
+        before, self._working = self._working, self._working.learned(refined)
+        fit = self._working.pose(refined)
         anchor = looked_at(fit.rotation, fit.translation_mm)
-        if self.motion is None:
+        if self.motion is None or self._working is not before:
             self.motion = Motion.standing(fit.rotation, fit.translation_mm, time_ns, anchor)
         else:
             self.motion = self.motion.moved_to(fit.rotation, fit.translation_mm, time_ns, anchor)
         share = float(refined.used.mean())
         self._share += (SMOOTH if self._share else 1.0) * (share - self._share)
         self._common = refined.common
-        self._estimate = fit.camera.of_frame(self.camera, parity)
         depth = float(fit.rotation[2, :2] @ anchor + fit.translation_mm[2])
         self._radius_px = self.lattice.rim_radius_mm * float(fit.camera.vector()[0]) / depth
