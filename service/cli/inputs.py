@@ -15,16 +15,21 @@ if TYPE_CHECKING:
     from drivers.grabber import FrameFormat
     from service.vision.camera import Camera
 
-__all__ = ["field_order", "fitting_camera", "station"]
+__all__ = ["field_order", "fitting_camera", "station", "station_file"]
 
 STATION_FILE = Path("config/station.toml")
 
 
-def station(path: Path | None) -> Station:
+def station_file(path: Path | None) -> Path:
     """The station file named, or the working directory's, or the one shipped."""
     if path is None and not STATION_FILE.exists():
-        return read_station(shipped_config("station.toml"))
-    return read_station(path or STATION_FILE)
+        return shipped_config("station.toml")
+    return path or STATION_FILE
+
+
+def station(path: Path | None) -> Station:
+    """Read `station_file`."""
+    return read_station(station_file(path))
 
 
 def field_order(given: str | None, default: FieldOrder = FieldOrder.AUTO) -> FieldOrder:

@@ -10,21 +10,27 @@ from typing import TYPE_CHECKING
 
 from service.acquisition.live import STOP_S, LiveService
 from service.cli.inputs import fitting_camera
+from service.cli.keys import pressed_keys
+from service.cli.recording import KEYS, make_recorder, on_key, recorded_lines
 from service.cli.status import status_parts, summary_lines
 from service.cli.terminal import Interrupted, StatusLine, say
-from service.cli.viewing import make_viewing
+from service.cli.viewing import make_viewing, viewer_watch
+from service.sinks.session.recorder import FRAMES_CAPACITY
 from service.vision.process import Measurer, warm_up
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from drivers.grabber import FrameFormat, Grabber
     from service.acquisition.liveness import Liveness
     from service.acquisition.recovery import Supervision
     from service.alignment.interpreter import Interpreter
+    from service.cli.recording import RecordingChoice
     from service.config.generators import SteamGenerator
     from service.config.station import MeasuringSettings, ViewerSettings
+    from service.sinks.base import Sink
+    from service.sinks.session.recorder import SessionRecorder
     from service.vision.camera import Camera
 
 __all__ = ["LiveRun", "prepare_kernels", "watch"]
@@ -50,6 +56,10 @@ class LiveRun:
         Names the tubes and judges the alignment, where that is set up.
     supervision
         How a live source is watched and got back; None for recordings.
+    recording
+        What may be recorded; None: nothing can be.
+    sinks
+        What else gets the results.
     """
 
     kind: Liveness
@@ -62,6 +72,8 @@ class LiveRun:
     every_frame: bool = False
     interpreter: Interpreter | None = None
     supervision: Supervision | None = None
+    recording: RecordingChoice | None = None
+    sinks: Sequence[Sink] = ()
 
 
 def watch(live: LiveRun, args: argparse.Namespace) -> int:
@@ -72,29 +84,51 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         return Measurer(camera, live.generator.lattice, time.perf_counter_ns)
 
     viewing = make_viewing(args, live.viewer, live.generator, live.kind, live.grabber.name)
+    recorder = _recorder(live, args)
+
+    def prepare(grabber: Grabber) -> None:
+        if live.prepare is not None:
+            live.prepare(grabber)
+        if recorder is not None:
+            recorder.note_device(grabber)
+
+    def tell(text: str, level: str) -> None:
+        viewing.event(text, level)
+        if recorder is not None:
+            recorder.event(text, level, kind="source")
+
     service = LiveService(
         live.grabber,
         measurer_for,
-        viewing.sinks,
-        prepare=live.prepare,
+        [*viewing.sinks, *live.sinks, *([recorder] if recorder else [])],
+        prepare=prepare,
         every_frame=live.every_frame,
         field=live.measuring.field_order.field,
         oldest_s=None if live.every_frame else live.measuring.oldest_frame_ms / 1e3,
         interpreter=live.interpreter,
         kind=live.kind,
         supervision=live.supervision,
-        tell=viewing.event,
+        tell=tell,
     )
+    if recorder is not None:
+        recorder.listen(service.subscribe(FRAMES_CAPACITY, waits=live.every_frame))
     with service:
         service.open()
         prepare_kernels()
         viewing.announce()
         began_s = time.monotonic()
         service.begin()
-        ended_by = _follow(service, args.seconds or math.inf)
-        viewing.event(ended_by, "INFO" if service.failure is None else "ERROR")
+        ended_by = _follow(service, recorder, args.seconds or math.inf)
+        tell(ended_by, "INFO" if service.failure is None else "ERROR")
         service.stop(FLUSH_S if ended_by == "ended" else STOP_S)
-    return _conclude(service, ended_by, time.monotonic() - began_s)
+    return _conclude(service, recorder, ended_by, time.monotonic() - began_s)
+
+
+def _recorder(live: LiveRun, args: argparse.Namespace) -> SessionRecorder | None:
+    if live.recording is None:
+        return None
+    shown = viewer_watch(live.generator, live.kind, live.grabber.name)
+    return make_recorder(args, live.recording, live.kind, live.generator, live.grabber.clock, shown)
 
 
 def prepare_kernels() -> None:
@@ -109,15 +143,21 @@ def prepare_kernels() -> None:
         notice.join()
 
 
-def _follow(service: LiveService, seconds: float) -> str:
-    """Show the status until it is over; in a word, why it is."""
+def _follow(service: LiveService, recorder: SessionRecorder | None, seconds: float) -> str:
+    """Show the status, and serve keys, until it is over; in a word, why it is."""
     status, end_s = StatusLine(), time.monotonic() + seconds
     try:
-        while not service.wait(REFRESH_S):
-            now = service.health(), service.latest
-            status.show(status_parts(*now), status_parts(*now, brief=True))
-            if time.monotonic() > end_s:
-                return "time is up"
+        with pressed_keys() as keys:
+            if keys is not None and recorder is not None:
+                print(KEYS, flush=True)
+            while not service.wait(REFRESH_S):
+                now = service.health(), service.latest
+                status.show(status_parts(*now), status_parts(*now, brief=True))
+                if keys is not None and recorder is not None:
+                    for key in keys():
+                        on_key(key, recorder)
+                if time.monotonic() > end_s:
+                    return "time is up"
     except Interrupted:
         return "stopped"
     finally:
@@ -125,9 +165,9 @@ def _follow(service: LiveService, seconds: float) -> str:
     return "broke off" if service.failure else "ended"
 
 
-def _conclude(service: LiveService, ended_by: str, seconds: float) -> int:
+def _conclude(service: LiveService, recorder: SessionRecorder | None, ended_by: str, seconds: float) -> int:
     health = service.health()
-    for line in summary_lines(health, seconds, ended_by):
+    for line in [*summary_lines(health, seconds, ended_by), *([] if recorder is None else recorded_lines(recorder))]:
         print(line)
     for stuck in service.stuck:
         say(f"{stuck} did not stop in time and was left behind")

@@ -139,7 +139,7 @@ def _whole(minimum: int, maximum: int) -> Callable[[str], int]:
     return read
 
 
-def _recording(text: str) -> Path:
+def _rrd(text: str) -> Path:
     path = Path(text)
     if path.suffix != ".rrd":
         raise argparse.ArgumentTypeError(f"{text!r} must end in .rrd")
@@ -173,7 +173,7 @@ def _viewer(p: _Parser) -> None:
     p.add_argument("--open", action="store_true", help="open the viewer in a browser")
     p.add_argument("--port", metavar="N", type=_whole(1, 65535), help="the viewer's data port; default: a free one")
     p.add_argument("--web-port", metavar="N", type=_whole(1, 65535), help="its page's port; default: a free one")
-    p.add_argument("--save", metavar="FILE.rrd", type=_recording, help="record what the viewer shows")
+    p.add_argument("--save", metavar="FILE.rrd", type=_rrd, help="record what the viewer shows")
     p.add_argument("--seconds", metavar="N", type=_above_zero, help="stop after N seconds")
 
 
@@ -205,6 +205,19 @@ def _interpreting(p: _Parser) -> None:
 # -- the commands ------------------------------------------------------------------------------------------------------
 
 
+def _recording(p: _Parser) -> None:
+    p.add_argument(
+        "--record",
+        metavar="FOLDER",
+        type=Path,
+        nargs="?",
+        const=Path("-"),
+        help="record a session from the start, in FOLDER or the station file's",
+    )
+    p.add_argument("--csv", action="store_true", help="record results for spreadsheets, too")
+    p.add_argument("--operator", metavar="NAME", default="", help="who is at the station, for the record")
+
+
 def _demo(p: _Parser) -> None:
     _viewer(p)
 
@@ -212,20 +225,27 @@ def _demo(p: _Parser) -> None:
 def _run(p: _Parser) -> None:
     _station(p)
     _interpreting(p)
+    _recording(p)
     _viewer(p)
 
 
 def _replay(p: _Parser) -> None:
-    p.add_argument("path", metavar="PATH", type=Path, help="a video, or a folder of pictures")
+    p.add_argument("path", metavar="PATH", type=Path, help="a video, a folder of pictures, or a recorded session")
     p.add_argument(
         "--speed", metavar="FACTOR|max", type=_speed, default=1.0, help="pace; at max every frame is measured"
     )
     p.add_argument("--loop", action="store_true", help="begin again at the end")
+    p.add_argument(
+        "--check",
+        action="store_true",
+        help="a session: measure it again, without a viewer; status 1 where a result is not that recorded",
+    )
     _generator(p, required=False)
     _camera(p)
     _field_order(p)
     _station(p)
     _interpreting(p)
+    _recording(p)
     _viewer(p)
 
 

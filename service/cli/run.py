@@ -13,10 +13,12 @@ from drivers.scene import GENERATORS
 from drivers.simulated import SimulatedGrabber
 from service.acquisition.liveness import Liveness
 from service.acquisition.recovery import Supervision
-from service.cli.inputs import station
+from service.cli.inputs import station, station_file
 from service.cli.interpreting import interpreter_for
 from service.cli.live import LiveRun, watch
+from service.cli.recording import RecordingChoice
 from service.cli.simulate import camera_of
+from service.sinks.session.configuration import configuration
 
 if TYPE_CHECKING:
     import argparse
@@ -48,6 +50,11 @@ def run(args: argparse.Namespace) -> int:
             viewer=s.viewer,
             prepare=_preparing(s.source),
             interpreter=interpreter_for(args, s.identity, s.alignment, s.generator),
+            recording=RecordingChoice(
+                s.recording,
+                configuration(station_file(args.config), camera=None if camera is s.camera else camera),
+                s.identity.rule(s.generator),
+            ),
             supervision=None if recorded else Supervision(s.supervision, remake=lambda: _grabber(s)),
         ),
         args,

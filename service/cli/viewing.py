@@ -12,14 +12,15 @@ from service.cli.terminal import say
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from service.config.generators import SteamGenerator
     from service.config.station import ViewerSettings
     from service.sinks.queued import QueuedSink
     from service.sinks.viewer import ViewerSink
+    from service.sinks.viewer_drawing import Watch
 
-__all__ = ["Viewing", "make_viewing"]
+__all__ = ["Viewing", "make_viewing", "viewer_watch"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +51,18 @@ def _open(url: str) -> bool:
     return graphical and webbrowser.open(url)
 
 
+def viewer_watch(generator: SteamGenerator, kind: str, source: str) -> Callable[[], Watch]:
+    """Give what makes the viewer's title, and its clock, once a viewer begins."""
+
+    def watch() -> Watch:
+        from service.sinks.viewer_drawing import Watch as Made  # noqa: PLC0415
+
+        epoch_ns = time.time_ns() - time.monotonic_ns() if kind == "LIVE" else None
+        return Made(generator.lattice, f"{kind} {source} · {generator.label}", epoch_ns)
+
+    return watch
+
+
 def make_viewing(
     args: argparse.Namespace, settings: ViewerSettings, generator: SteamGenerator, kind: str, source: str
 ) -> Viewing:
@@ -59,11 +72,9 @@ def make_viewing(
         return Viewing()
     # rerun takes most of a second to import: only where it serves
     from service.sinks.viewer import ViewerSink  # noqa: PLC0415
-    from service.sinks.viewer_drawing import Watch  # noqa: PLC0415
     from service.sinks.viewer_file import ViewerFileSink  # noqa: PLC0415
 
-    epoch_ns = time.time_ns() - time.monotonic_ns() if kind == "LIVE" else None
-    watch = Watch(generator.lattice, f"{kind} {source} · {generator.label}", epoch_ns)
+    watch = viewer_watch(generator, kind, source)()
     live = None
     if serves:
         live = ViewerSink(

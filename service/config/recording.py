@@ -36,7 +36,7 @@ class RecordingSettings:
     enabled: bool = False
     folder: Path | None = None
     csv: bool = False
-    viewer: bool = False
+    viewer: bool = True
     operator: str = ""
     keep_free_mib: float = 500.0
     max_age_days: float | None = None

@@ -17,6 +17,7 @@ from service.config.cameras import read_camera
 from service.config.console import ConsoleSettings, read_console
 from service.config.generators import SteamGenerator, load_generator
 from service.config.instruments import LensSettings, RangeFinderSettings, lens_settings, range_finder_settings
+from service.config.recording import RecordingSettings, recording_settings
 from service.config.supervision import SupervisionSettings, read_supervision
 from service.config.table import Table, read_toml
 
@@ -98,6 +99,7 @@ class Station:
     alignment: GuideSettings | None = None
     supervision: SupervisionSettings = field(default_factory=SupervisionSettings)
     console: ConsoleSettings = field(default_factory=ConsoleSettings)
+    recording: RecordingSettings = field(default_factory=RecordingSettings)
 
 
 def read_station(path: Path) -> Station:
@@ -106,7 +108,7 @@ def read_station(path: Path) -> Station:
     source, generator, camera = t.table("source", required=True), t.table("generator", required=True), t.table("camera")
     measuring, viewer = t.table("measuring"), t.table("viewer")
     lens, range_finder = t.table("lens"), t.table("range_finder")
-    supervision = t.table("supervision")
+    supervision, recording = t.table("supervision"), t.table("recording")
     identity, alignment, console = t.table("identity"), t.table("alignment"), t.table("console")
     t.finish()
     tubes, names = _generator(generator, path.parent), read_identity(identity, path.parent)
@@ -122,6 +124,7 @@ def read_station(path: Path) -> Station:
         alignment=read_alignment(alignment, path.parent, tubes, names.rule(tubes)),
         supervision=read_supervision(supervision),
         console=read_console(console),
+        recording=recording_settings(recording, path.parent),
     )
 
 

@@ -25,6 +25,8 @@ class RecordingState:
     ----------
     folder
         The session that is being recorded; None: nothing is.
+    last
+        That session, or else the last one there was.
     failure
         Why recording stopped, where nobody asked for that; None: it did not.
     frames, measured, evidence
@@ -42,6 +44,7 @@ class RecordingState:
     evidence: int = 0
     overflowed: int = 0
     waiting: int = 0
+    last: Path | None = None
 
 
 class SessionControl(Protocol):

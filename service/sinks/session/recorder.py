@@ -296,7 +296,7 @@ class SessionRecorder:
             return
         w = counted.writer
         self._state = RecordingState(
-            folder, self._failure, w.frames, w.measured, counted.evidence, w.overflowed, waiting
+            folder, self._failure, w.frames, w.measured, counted.evidence, w.overflowed, waiting, w.folder
         )
 
     # -- sessions begin and end ----------------------------------------------------------------------------------------
