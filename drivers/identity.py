@@ -1,5 +1,7 @@
 """Which video device is which, by what survives a replug: read from the system's device tree, nothing is opened.
 
+Video nodes of the kernel and USB video devices, which may have no node, are known by the same identities:
+
 - ``usb-534d:2109-A1``: vendor, product and serial number, where no other device has the same;
 - ``path-pci-0000:00:14.0-usb-0:1.2``: USB controller, its root hub, and the ports from there, where it has none;
 - ``path-platform-vivid.0``, ``path-pci-0000:03:00.0``: the place of a board that is no USB device.
@@ -11,7 +13,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 from urllib.parse import quote
@@ -19,9 +21,18 @@ from urllib.parse import quote
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["SYSFS", "VideoNode", "find_video_nodes", "video_nodes"]
+__all__ = [
+    "SYSFS",
+    "UsbDevice",
+    "VideoNode",
+    "find_usb_devices",
+    "find_video_nodes",
+    "usb_video_devices",
+    "video_nodes",
+]
 
 SYSFS: Final = Path("/sys")
+VIDEO_CLASS: Final = "0e"
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,6 +90,72 @@ def find_video_nodes(identity: str, sysfs: Path = SYSFS) -> list[VideoNode]:
 
 
 @dataclass(frozen=True, slots=True)
+class UsbDevice:
+    """A USB device with a video interface.
+
+    Attributes
+    ----------
+    node
+        Where it is now, such as /dev/bus/usb/001/004: bus and address, which a replug changes.
+    name
+        What it calls itself.
+    identity, place, serial
+        As those of a `VideoNode`.
+    kernel_driver
+        Which of the kernel's drivers serves its video; "" where none does.
+    descriptors
+        Its device and configuration descriptors, as the system read them.
+    """
+
+    node: str
+    name: str
+    identity: str
+    place: str
+    serial: str | None
+    kernel_driver: str
+    descriptors: bytes
+
+    @property
+    def bus_and_address(self) -> tuple[int, int]:
+        """By which it is reached."""
+        bus, address = self.node.split("/")[-2:]
+        return int(bus), int(address)
+
+
+def usb_video_devices(sysfs: Path = SYSFS) -> list[UsbDevice]:
+    """USB devices with a video interface, in the order of bus and address."""
+    folders = [folder.resolve() for folder in (sysfs / "bus/usb/devices").glob("[0-9]*-*") if ":" not in folder.name]
+    found = [device for device in map(_usb_device, folders) if device is not None]
+    owners = Counter(device.serial for device in found)
+    unique = (replace(d, identity=d.serial) if d.serial and owners[d.serial] == 1 else d for d in found)
+    return sorted(unique, key=lambda d: d.node)
+
+
+def find_usb_devices(identity: str, sysfs: Path = SYSFS) -> list[UsbDevice]:
+    """USB video devices with an identity; several where these have one serial number between them."""
+    return [d for d in usb_video_devices(sysfs) if identity in {d.place, d.serial}]
+
+
+def _usb_device(folder: Path) -> UsbDevice | None:
+    interfaces = [i for i in sorted(folder.glob("*:*")) if _read(i / "bInterfaceClass") == VIDEO_CLASS]
+    bus, address = _read(folder / "busnum"), _read(folder / "devnum")
+    if not interfaces or not bus.isdecimal() or not address.isdecimal():
+        return None
+    place, model = _usb_place(folder), f"{_read(folder / 'idVendor')}:{_read(folder / 'idProduct')}"
+    name = " ".join(filter(None, (_read(folder / "manufacturer"), _read(folder / "product")))) or model
+    drivers = [(i / "driver").resolve().name for i in interfaces if (i / "driver").exists()]
+    return UsbDevice(
+        node=f"/dev/bus/usb/{int(bus):03}/{int(address):03}",
+        name=name,
+        identity=place,
+        place=place,
+        serial=_usb_serial(folder),
+        kernel_driver=drivers[0] if drivers else "",
+        descriptors=_read_bytes(folder / "descriptors"),
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class _Seen:
     node: str
     name: str
@@ -94,9 +171,13 @@ class _Seen:
         usb = _climb(hardware, lambda at: (at / "idVendor").exists())
         if usb is None:
             return cls(folder.name, name, f"path-{_on_bus(hardware)}", None, order)
-        number = _read(usb / "serial")
-        model = f"usb-{_read(usb / 'idVendor')}:{_read(usb / 'idProduct')}"
-        return cls(folder.name, name, _usb_place(usb), f"{model}-{quote(number, safe='')}" if number else None, order)
+        return cls(folder.name, name, _usb_place(usb), _usb_serial(usb), order)
+
+
+def _usb_serial(usb: Path) -> str | None:
+    number = _read(usb / "serial")
+    model = f"usb-{_read(usb / 'idVendor')}:{_read(usb / 'idProduct')}"
+    return f"{model}-{quote(number, safe='')}" if number else None
 
 
 def _usb_place(usb: Path) -> str:
@@ -123,3 +204,10 @@ def _read(path: Path) -> str:
         return path.read_text(encoding="utf-8", errors="replace").strip()
     except OSError:
         return ""
+
+
+def _read_bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError:
+        return b""

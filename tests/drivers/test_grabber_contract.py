@@ -18,6 +18,7 @@ from drivers.simulation import default_scene
 from tests.drivers.recorded import picture, write_folder, write_video
 from tests.fakes.clock import ManualClock
 from tests.fakes.kernel import WOVEN_ONLY, fake_grabber
+from tests.fakes.usb import fake_uvc_grabber
 
 
 @pytest.fixture(scope="module")
@@ -60,6 +61,10 @@ def devices(recordings, scenes):
     def v4l2(**options):
         return Device(lambda: fake_grabber(ManualClock(), **options)[0])
 
+    def uvc(**options):
+        sysfs = recordings / "-".join(("sys", *map(str, options.values()))).replace("/", "")
+        return Device(lambda: fake_uvc_grabber(ManualClock(), sysfs, interlace=5, **options)[0])
+
     return {
         "video": replay("video.mkv"),
         "video-at-max": replay("video.mkv", speed=float("inf")),
@@ -78,6 +83,11 @@ def devices(recordings, scenes):
         "v4l2-10-bit": v4l2(encodings=("Y10",)),
         "v4l2-16-bit": v4l2(encodings=("Y16-BE",), padding=2),
         "v4l2-jpeg": v4l2(encodings=("MJPG",), fields=WOVEN_ONLY),
+        "uvc": uvc(),
+        "uvc-grey": uvc(encodings=("H264", "GREY"), inputs=1, payload_bytes=1024),
+        "uvc-nv12": uvc(encodings=("NV12",), version=0x0150, header_bytes=2),
+        "uvc-16-bit": uvc(encodings=("Y16",), alternate=2, payload_bytes=700),
+        "uvc-jpeg": uvc(encodings=("MJPG",), version=0x0100, serial=None),
     }
 
 

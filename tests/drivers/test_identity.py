@@ -2,8 +2,10 @@
 
 import pytest
 
-from drivers.identity import find_video_nodes, video_nodes
+from drivers.identity import find_usb_devices, find_video_nodes, usb_video_devices, video_nodes
 from tests.drivers.tree import put, usb_device, video_node
+from tests.fakes.usb import Plugged, plug_in
+from tests.fakes.uvc import FakeUvcDevice
 
 
 @pytest.fixture
@@ -79,3 +81,28 @@ def test_a_usb_device_without_a_root_hub_is_known_by_its_port(tmp_path):
     usb = put(tmp_path / "devices/odd/1-2", idVendor="1", idProduct="2")
     video_node(tmp_path, "video0", usb / "1-2:1.0")
     assert video_nodes(tmp_path)[0].place == "path-usb-1-2"
+
+
+def test_a_usb_device_is_known_by_the_same_identity_as_its_node(tmp_path):
+    for port, address, serial in (("1-2", 4, "A/1 ?"), ("1-3.4", 12, None)):
+        folder = plug_in(tmp_path, Plugged(FakeUvcDevice(serial=serial), address=address), port=port)
+        video_node(tmp_path, f"video{address}", folder / f"{port}:1.0")
+    put(tmp_path / "bus/usb/devices/1-9/1-9:1.0", bInterfaceClass="08")
+    put(tmp_path / "bus/usb/devices/1-7/1-7:1.0", bInterfaceClass="0e")
+    devices = usb_video_devices(tmp_path)
+    assert [d.identity for d in devices] == [n.identity for n in video_nodes(tmp_path)]
+    assert [(d.node, d.name, d.bus_and_address) for d in devices] == [
+        ("/dev/bus/usb/001/004", "Lab Fake UVC grabber", (1, 4)),
+        ("/dev/bus/usb/001/012", "Lab Fake UVC grabber", (1, 12)),
+    ]
+    assert [d.identity for d in find_usb_devices(devices[0].place, tmp_path)] == [devices[0].identity]
+
+
+def test_usb_twins_are_known_by_place_and_what_serves_them_is_told(tmp_path):
+    plug_in(tmp_path, Plugged(FakeUvcDevice(), address=4), port="1-2", driver="uvcvideo")
+    plug_in(tmp_path, Plugged(FakeUvcDevice(), address=5), port="1-3")
+    assert [(d.identity, d.kernel_driver) for d in usb_video_devices(tmp_path)] == [
+        ("path-pci-0000:00:14.0-usb-0:2", "uvcvideo"),
+        ("path-pci-0000:00:14.0-usb-0:3", ""),
+    ]
+    assert len(find_usb_devices("usb-1209:0001-SN1", tmp_path)) == 2

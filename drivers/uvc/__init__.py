@@ -1,0 +1,1 @@
+"""USB video class devices without a kernel driver, read from user space."""
