@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from drivers.frame import Frame
     from service.results import FrameResult
 
-__all__ = ["Sink", "SinkStats"]
+__all__ = ["Sink", "SinkStats", "SourceState"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +34,28 @@ class SinkStats:
     dropped: int = 0
     failed: int = 0
     depth: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class SourceState:
+    """What the picture before the operator is worth, for sinks that show it.
+
+    Attributes
+    ----------
+    word
+        LIVE, REPLAY, SIMULATED, STARTING, NO SIGNAL, FROZEN, STALE, RECONNECTING or ENDED.
+    reason
+        Why it is none of the first three; empty where it is.
+    good
+        Whether it is.
+    figures
+        How the service does, in lines of Markdown.
+    """
+
+    word: str
+    reason: str = ""
+    good: bool = False
+    figures: str = ""
 
 
 class Sink(Protocol):

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from drivers.frame import Frame
     from service.results import FrameResult
+    from service.sinks.base import SourceState
 
 __all__ = ["QueuedSink", "SinkFailedError"]
 
@@ -48,6 +49,7 @@ class QueuedSink(ABC):
         self._capacity = capacity
         self._queue: collections.deque[tuple[Frame, Sequence[FrameResult]]] = collections.deque()
         self._events: collections.deque[tuple[str, str]] = collections.deque()
+        self._state: SourceState | None = None
         self._changed = threading.Condition()
         self._thread = threading.Thread(target=self._run, name=f"bowlsight-{name}", daemon=True)
         self._closing: tuple[float, float] | None = None  # once begun: until when to deliver, until when to end
@@ -73,6 +75,9 @@ class QueuedSink(ABC):
 
     def _do_event(self, text: str, level: str) -> None:  # noqa: B027 - nor here
         """Show or keep an event, in the sink's thread; sinks that show none ignore it. May raise."""
+
+    def _do_state(self, state: SourceState) -> None:  # noqa: B027 - nor here
+        """Show what the picture is worth, in the sink's thread; sinks that show nothing ignore it. May raise."""
 
     def _do_abandon(self) -> None:  # noqa: B027 - most sinks have nothing to do here
         """See to it that a thread that did not end in time holds nothing else up, in the thread of `close`."""
@@ -114,6 +119,12 @@ class QueuedSink(ABC):
                 self.events_dropped += 1
             self._changed.notify()
 
+    def state(self, state: SourceState) -> None:
+        """Pass on what the picture is worth; only the newest is shown. Returns at once, never raises."""
+        with self._changed:
+            self._state = state
+            self._changed.notify()
+
     def close(self, timeout_s: float) -> None:
         """Deliver what can be delivered in time, count the rest as dropped, end the thread. May be repeated."""
         with self._changed:
@@ -136,6 +147,7 @@ class QueuedSink(ABC):
 
     def _run(self) -> None:
         while self._wait():
+            self._deliver_state()
             self._deliver_events()
             if (item := self._take()) is not None:
                 self._deliver(*item)
@@ -148,11 +160,21 @@ class QueuedSink(ABC):
     def _wait(self) -> bool:
         """Wait for something to deliver; False where nothing will come any more."""
         with self._changed:
-            while not (self._queue or self._events or self._closing):
+            while not (self._queue or self._events or self._state or self._closing):
                 self._changed.wait()
             if self._closing is not None and time.monotonic() >= self._closing[0]:
                 self._drop_waiting()
-            return bool(self._queue or self._events)
+            return bool(self._queue or self._events or self._state)
+
+    def _deliver_state(self) -> None:
+        with self._changed:
+            state, self._state = self._state, None
+        if state is None:
+            return
+        try:
+            self._do_state(state)
+        except Exception as error:  # noqa: BLE001 - told; the next one may go well
+            log.warning("%s: state %s not delivered: %s", self.name, state.word, error)
 
     def _deliver_events(self) -> None:
         while True:
@@ -203,6 +225,7 @@ class QueuedSink(ABC):
             )  # fmt: skip
 
     def _drop_waiting(self) -> None:
+        self._state = None
         self._dropped += len(self._queue)
         self._queue.clear()
         self.events_dropped += len(self._events)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from drivers.frame import Frame
     from service.results import FrameResult
+    from service.sinks.base import SourceState
     from service.sinks.viewer_drawing import Watch
 
 __all__ = ["ViewerSink"]
@@ -97,6 +98,10 @@ class ViewerSink(ViewerStream):
 
     def _do_event(self, text: str, level: str) -> None:
         super()._do_event(text, level)
+        self._send()
+
+    def _do_state(self, state: SourceState) -> None:
+        super()._do_state(state)
         self._send()
 
     def _send(self) -> None:

@@ -44,7 +44,7 @@ def blueprint(size_px: tuple[int, int], distance_mm: float) -> rrb.Blueprint:
             visual_bounds=rrb.VisualBounds2D(x_range=(0, size_px[0]), y_range=(0, size_px[1])),
         ),
         rrb.Horizontal(
-            rrb.StateTimelineView(origin="/state", name="Lock", time_view=last_minute, time_ranges=ranges),
+            rrb.StateTimelineView(origin="/state", name="Source and lock", time_view=last_minute, time_ranges=ranges),
             rrb.TextLogView(
                 origin="/events",
                 name="Events",
@@ -55,7 +55,10 @@ def blueprint(size_px: tuple[int, int], distance_mm: float) -> rrb.Blueprint:
         row_shares=[9, 2],
     )
     right = rrb.Vertical(
-        rrb.TextDocumentView(origin="/status", name="Readings"),
+        rrb.Tabs(
+            rrb.TextDocumentView(origin="/status", name="Readings"),
+            rrb.TextDocumentView(origin="/health", name="Health"),
+        ),
         rrb.Spatial3DView(
             origin="/sheet/camera",
             contents="/sheet/**",

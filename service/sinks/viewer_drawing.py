@@ -6,6 +6,7 @@ Entities::
     sheet                 mm, Z into the tubes        sheet/tubes     the same tubes in space
     sheet/camera          sheet_from_camera, pinhole  sheet/view      what the picture shows of the sheet
     trend/distance, tilt  value, minus and plus one sigma             state/lock, events, status
+    state/source          what the picture is worth                   health
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from service.sinks.quiet_rerun import rr
 from service.sinks.viewer_marks import (
     LABELS,
     LOCK_COLORS,
+    SOURCE_COLORS,
     class_ids,
     load_kernels,
     mark_widths,
@@ -42,14 +44,17 @@ if TYPE_CHECKING:
 
     from drivers.frame import Frame
     from service.results import FrameResult
+    from service.sinks.base import SourceState
     from service.vision.lattice import Lattice
     from service.vision.measurement import Measurement, Pose
 
-__all__ = ["FRAME", "TIME", "FrameDrawing", "Watch"]
+__all__ = ["FRAME", "SIZE_PX", "TIME", "FrameDrawing", "Watch"]
 
 FRAME, TIME = "frame", "time"
 """The two timelines: the number of the frame, and when it was exposed."""
 JPEG_QUALITY = 85
+SIZE_PX = (640, 480)
+"""What is laid out for until a frame tells better."""
 SHEET_PERIOD_NS = 90_000_000
 CORNER = 0.5
 """Rerun's picture begins at the corner of its first pixel; ours, everywhere else, at that pixel's centre."""
@@ -100,6 +105,8 @@ class FrameDrawing:
         self._generation, self._offset, self._last = -1, 0, -1
         self._stamp = ""
         self._shown = ShownPictures()
+        self._source: tuple[str, str] | None = None
+        self._size_px = SIZE_PX
         self._sheet_ns, self._sheet_empty = -SHEET_PERIOD_NS, True
 
     def prepare(self, stream: rr.RecordingStream) -> None:
@@ -119,6 +126,11 @@ class FrameDrawing:
             colors=np.array(list(LOCK_COLORS.values()), np.uint8),
         )
         stream.log("state/lock", locks, static=True)
+        words = [*SOURCE_COLORS]
+        sources = rr.StateConfiguration(
+            values=words, labels=words, colors=np.array([SOURCE_COLORS[w] for w in words], np.uint8)
+        )
+        stream.log("state/source", sources, static=True)
 
     def draw(self, stream: rr.RecordingStream, frame: Frame, results: Sequence[FrameResult]) -> tuple[int, int]:
         """Log one frame: of interlaced video the first field, and the trends of both. Returns the picture's size."""
@@ -133,17 +145,44 @@ class FrameDrawing:
         if self._sheet_due(m):
             self._draw_sheet(stream, m, order, classes)
         _draw_trend(stream, m)
-        self._draw_state(stream, m, size_px)
+        self._size_px = size_px
+        self._draw_state(stream, m)
         text = status_text(result, self._watch.title)
         stream.log("status", rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN))
         return size_px
 
     def event(self, stream: rr.RecordingStream, text: str, level: str) -> None:
         """Log a line of text: live, at the present time; of a recording, at that of the last frame."""
+        self._set_present(stream)
+        self._log_event(stream, text, level)
+
+    def state(self, stream: rr.RecordingStream, state: SourceState) -> None:
+        """Log what the picture is worth, and frame it while it is not what it claims to be."""
+        self._set_present(stream)
+        stream.log("health", rr.TextDocument(state.figures, media_type=rr.MediaType.MARKDOWN))
+        if (state.word, state.reason) == self._source:
+            return
+        self._source = state.word, state.reason
+        stream.log("state/source", rr.StateChange(state=state.word))
+        if state.good:
+            stream.log("picture/source", rr.Clear(recursive=True))
+            return
+        text = f"{state.word}: {state.reason}" if state.reason else state.word
+        self._frame_picture(stream, "picture/source", text, SOURCE_COLORS[state.word], at=0.5)
+
+    def _set_present(self, stream: rr.RecordingStream) -> None:
         if self._watch.epoch_ns is not None or self._last < 0:
             stream.set_time(FRAME, sequence=max(self._last, 0))
             self._set_clock(stream, 0 if self._watch.epoch_ns is None else self._monotonic_ns())
-        self._log_event(stream, text, level)
+
+    def _frame_picture(
+        self, stream: rr.RecordingStream, path: str, text: str, color: tuple[int, int, int, int], *, at: float
+    ) -> None:
+        """Draw a frame around the picture, and say why, at that share of its height."""
+        w, h = self._size_px
+        colors = np.array([color], np.uint8)
+        stream.log(path, rr.Boxes2D(mins=[[0, 0]], sizes=[[w, h]], colors=colors, radii=[-2.0]))
+        stream.log(f"{path}/why", rr.Points2D([[w / 2, at * h]], radii=[0.0], colors=colors, labels=[text]))
 
     def _log_event(self, stream: rr.RecordingStream, text: str, level: str) -> None:
         stream.log("events", rr.TextLog(f"{self._stamp}  {text}", level=level))
@@ -212,7 +251,7 @@ class FrameDrawing:
         stream.log("sheet/tubes", cylinders)
         _draw_camera(stream, m.pose)
 
-    def _draw_state(self, stream: rr.RecordingStream, m: Measurement, size_px: tuple[int, int]) -> None:
+    def _draw_state(self, stream: rr.RecordingStream, m: Measurement) -> None:
         """Log what the lock is where that changes, and frame the picture while it is not full."""
         reason = why(m)
         changed = (m.lock, reason) != self._said
@@ -225,10 +264,7 @@ class FrameDrawing:
             if changed:
                 stream.log("picture/lock", rr.Clear(recursive=True))
             return
-        color = np.array([LOCK_COLORS[m.lock]], np.uint8)
-        stream.log("picture/lock", rr.Boxes2D(mins=[[0, 0]], sizes=[size_px], colors=color, radii=[-2.0]))
-        label = rr.Points2D([[size_px[0] / 2, 0]], radii=[0.0], colors=color, labels=[text])
-        stream.log("picture/lock/why", label)
+        self._frame_picture(stream, "picture/lock", text, LOCK_COLORS[m.lock], at=0.0)
 
 
 def _draw_trend(stream: rr.RecordingStream, m: Measurement) -> None:

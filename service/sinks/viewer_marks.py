@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from service.vision.lattice import Lattice
     from service.vision.measurement import Pose, Tubes
 
-__all__ = ["LABELS", "LOCK_COLORS", "class_ids", "load_kernels", "mark_widths", "marks", "strips_3d"]
+__all__ = ["LABELS", "LOCK_COLORS", "SOURCE_COLORS", "class_ids", "load_kernels", "mark_widths", "marks", "strips_3d"]
 
 NAMES = ("measured", "predicted", "plugged", "absent")
 # Okabe and Ito's palette, which the colour-blind tell apart. What is normal stays pale.
@@ -31,6 +31,11 @@ LOCK_COLORS = {
     Lock.FULL: (128, 138, 148, 255),
     Lock.PARTIAL: (230, 159, 0, 255),
     Lock.NONE: (213, 94, 0, 255),
+}
+SOURCE_COLORS = {
+    **dict.fromkeys(("LIVE", "REPLAY", "SIMULATED", "STARTING", "ENDED"), (128, 138, 148, 255)),
+    **dict.fromkeys(("RECONNECTING",), (230, 159, 0, 255)),
+    **dict.fromkeys(("NO SIGNAL", "FROZEN", "STALE"), (213, 94, 0, 255)),
 }
 DIMMED = 110
 DOUBTFUL = 10

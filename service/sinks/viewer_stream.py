@@ -12,19 +12,20 @@ from typing import TYPE_CHECKING
 from service.sinks.queued import QueuedSink
 from service.sinks.quiet_rerun import rr
 from service.sinks.viewer_blueprint import blueprint
-from service.sinks.viewer_drawing import FrameDrawing
+from service.sinks.viewer_drawing import SIZE_PX, FrameDrawing
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from drivers.frame import Frame
     from service.results import FrameResult
+    from service.sinks.base import SourceState
     from service.sinks.viewer_drawing import Watch
 
 __all__ = ["APPLICATION", "ViewerStream"]
 
 APPLICATION = "bowlsight"
-SIZE_PX, DISTANCE_MM = (640, 480), 1000.0
+DISTANCE_MM = 1000.0
 """What the views are laid out for until a frame tells better."""
 
 
@@ -76,6 +77,10 @@ class ViewerStream(QueuedSink):
     def _do_event(self, text: str, level: str) -> None:
         assert self._stream is not None, "started"
         self._drawing.event(self._stream, text, level)
+
+    def _do_state(self, state: SourceState) -> None:
+        assert self._stream is not None, "started"
+        self._drawing.state(self._stream, state)
 
     def _do_finish(self, timeout_s: float) -> None:
         stream, self._stream = self._stream, None

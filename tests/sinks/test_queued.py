@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from drivers.frame import Field, Frame, PixelFormat
-from service.sinks.base import SinkStats
+from service.sinks.base import SinkStats, SourceState
 from service.sinks.queued import QueuedSink, SinkFailedError
 
 PIXELS = np.zeros((4, 4), np.uint8)
@@ -230,3 +230,22 @@ def test_a_frame_that_is_let_go_counts_as_dropped(sink):
     sink.close(LONG_S)
     assert sink.delivered == [0, 3]
     assert sink.stats() == SinkStats(accepted=4, dropped=2)
+
+
+def test_of_what_the_picture_is_worth_only_the_newest_is_shown_and_an_error_costs_nothing_else(sink, caplog):
+    shown = []
+
+    def show(state):
+        shown.append(state.word)
+        raise OSError("no room")
+
+    sink._do_state = show
+    hold(sink)
+    for word in ("LIVE", "STALE", "LIVE"):
+        sink.state(SourceState(word))
+    sink.gate.set()
+    sink.accept(frame(1), ())
+    sink.close(LONG_S)
+    assert shown == ["LIVE"]
+    assert sink.delivered == [0, 1]
+    assert "state LIVE not delivered: no room" in caplog.text

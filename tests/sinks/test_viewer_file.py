@@ -2,6 +2,7 @@ import math
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import cv2
@@ -10,7 +11,7 @@ import pytest
 
 from drivers.errors import ConfigError
 from drivers.frame import Field
-from service.sinks.base import SinkStats
+from service.sinks.base import SinkStats, SourceState
 from service.sinks.viewer_drawing import Watch
 from service.sinks.viewer_file import ViewerFileSink
 from service.vision.measurement import Doubt, Lock, Tubes
@@ -231,3 +232,30 @@ def test_a_disk_that_fills_up_is_told_and_counted_and_does_not_hold_up_the_end(t
     assert failure in run.stderr
     assert run.stderr.count("takes no more data") == 1
     assert 0 < path.stat().st_size <= 150_000
+
+
+def test_what_the_picture_is_worth_is_told_with_and_without_frames(tmp_path):
+    sink = ViewerFileSink(tmp_path / "x.rrd", Watch(LATTICE))
+    sink.start()
+    sink.state(SourceState("STARTING", figures="nothing yet"))
+    until_taken(sink)
+    frame, result = made_up(0)
+    sink.accept(frame, (result,))
+    for state in (
+        SourceState("LIVE", good=True, figures="25 fps"),
+        SourceState("NO SIGNAL", "the input has no signal"),
+    ):
+        sink.state(state)
+        until_taken(sink)
+    sink.close(LONG_S)
+    rrd = Rrd(tmp_path / "x.rrd")
+    assert rrd.column("/state/source", "StateChange:state") == [["STARTING"], ["LIVE"], ["NO SIGNAL"]]
+    assert rrd.column("/picture/source/why", "Points2D:labels")[-1] == ["NO SIGNAL: the input has no signal"]
+    assert rrd.column("/health", "TextDocument:text")[1] == ["25 fps"]
+
+
+def until_taken(sink):
+    deadline = time.monotonic() + LONG_S
+    while sink._state is not None:
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
