@@ -113,6 +113,8 @@ class Health:
         Age of frames, since the driver had them, when their processing starts.
     latency_ms
         From there until their results are handed on.
+    measuring_s
+        How long the frame in hand has been measured; None where none is.
     waiting
         Frames waiting to be measured.
     overflowed
@@ -137,6 +139,7 @@ class Health:
     interval_ms: Percentiles
     age_ms: Percentiles
     latency_ms: Percentiles
+    measuring_s: float | None
     waiting: int
     overflowed: int
     account: Account

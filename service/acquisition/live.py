@@ -234,6 +234,7 @@ class LiveService:
             interval_ms=self._intake.interval_ms.percentiles(),
             age_ms=worker.age_ms.percentiles(),
             latency_ms=worker.latency_ms.percentiles(),
+            measuring_s=None if worker.measuring_ns is None else (now_ns - worker.measuring_ns) / 1e9,
             waiting=self._hand_over.depth,
             overflowed=sum(queue.overflowed for queue in self._subscribers),
             account=self._ledger.account(),

@@ -16,7 +16,7 @@ from tests.fakes.scripted import make_frame
 HEALTH = Health(
     shown=Shown(Liveness.LIVE), state=AcquisitionState.RUNNING, generation=1, recoveries=0,
     capture_fps=25.0, result_fps=24.9, silent_s=0.02, interval_ms=Percentiles(40.0, 41.0),
-    age_ms=Percentiles(0.2, 1.1), latency_ms=Percentiles(8.0, 12.5), waiting=0, overflowed=0,
+    age_ms=Percentiles(0.2, 1.1), latency_ms=Percentiles(8.0, 12.5), measuring_s=None, waiting=0, overflowed=0,
     account=Account(span=103, delivered=100, lost=3, processed=98, superseded=2),
     locks={"full": 90, "none": 8}, sinks={"viewer": SinkStats(98, 4, 1, 2)}, resources=Resources(200 * 2**20, 40, 12),
 )  # fmt: skip
