@@ -219,6 +219,16 @@ class LiveService:
         """The last frame answered."""
         return self._worker.latest if self._worker else None
 
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the source's inputs, once open."""
+        return self._acquisition.inputs
+
+    @property
+    def input(self) -> str:
+        """Name of the input in use, once open."""
+        return self._acquisition.input
+
     def health(self) -> Health:
         """How it is doing now."""
         now_ns, acquisition, worker = self._clock.monotonic_ns(), self._acquisition, self._worker

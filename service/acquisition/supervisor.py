@@ -111,6 +111,16 @@ class Supervisor:
         return self._owner.failure
 
     @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the source's inputs, once open."""
+        return self._owner.inputs
+
+    @property
+    def input(self) -> str:
+        """Name of the input in use; empty before it was open."""
+        return self._owner.input or ""
+
+    @property
     def recoveries(self) -> int:
         """How often the source was got back."""
         return 0 if self._recovery is None else self._recovery.recoveries

@@ -101,7 +101,6 @@ class AcquisitionThread:
         self._owning = threading.Lock()
         self._left_behind = False
         self._inputs_asked: queue.SimpleQueue[str] = queue.SimpleQueue()
-        self._input: str | None = None
         self._look_ns = 0
         self._told: tuple[type[Exception], Rung] | None = None
         self._thread = threading.Thread(target=self._run, name="bowlsight-acquisition", daemon=True)
@@ -109,6 +108,7 @@ class AcquisitionThread:
         """The call of the driver under way."""
         self.format: FrameFormat | None = None
         self.inputs: tuple[str, ...] = ()
+        self.input: str | None = None
         self.state = AcquisitionState.CLOSED
         self.failure: Exception | None = None
         """What ended it, where that was neither a stop nor the end of a recording."""
@@ -222,9 +222,9 @@ class AcquisitionThread:
             if self._prepare is not None:
                 self._prepare(grabber)
             self.inputs = tuple(i.name for i in grabber.inputs)
-            if self._input in self.inputs and grabber.input != self._input:
-                grabber.select_input(self._input)
-            self._input = grabber.input
+            if self.input in self.inputs and grabber.input != self.input:
+                grabber.select_input(self.input)
+            self.input = grabber.input
             self.format = grabber.format
         self._tell_of_format(before, self.format)
 
@@ -310,9 +310,9 @@ class AcquisitionThread:
             signal, now = self._grabber.signal_status(), self._grabber.input
         if self._intake.watch is not None:
             self._intake.watch.signalled(signal)
-        if now != self._input and self._input is not None:
-            self._tell(f"somebody switched it to input {now}; switching back to {self._input}")
-            self._switch(self._input)
+        if now != self.input and self.input is not None:
+            self._tell(f"somebody switched it to input {now}; switching back to {self.input}")
+            self._switch(self.input)
 
     def _switch_as_asked(self) -> None:
         with contextlib.suppress(queue.Empty):
@@ -327,7 +327,7 @@ class AcquisitionThread:
     def _switch(self, name: str) -> None:
         with self._calling(f"switching to input {name}", ASK_S):
             self._grabber.select_input(name)
-        self._input = name
+        self.input = name
         self._intake.begin_view()
         self._look_ns = 0
 

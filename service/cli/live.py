@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 import threading
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from service.acquisition.live import STOP_S, LiveService
 from service.cli.inputs import fitting_camera
 from service.cli.keys import pressed_keys
 from service.cli.recording import KEYS, make_recorder, on_key, recorded_lines
+from service.cli.reporting import Reporting
 from service.cli.status import status_parts, summary_lines
 from service.cli.terminal import Interrupted, StatusLine, say
 from service.cli.viewing import make_viewing, viewer_watch
+from service.config.supervision import HealthSettings
 from service.sinks.session.recorder import FRAMES_CAPACITY
 from service.vision.process import Measurer, warm_up
 
@@ -60,6 +62,8 @@ class LiveRun:
         What may be recorded; None: nothing can be.
     sinks
         What else gets the results.
+    health
+        Who is told how the service does.
     """
 
     kind: Liveness
@@ -74,6 +78,7 @@ class LiveRun:
     supervision: Supervision | None = None
     recording: RecordingChoice | None = None
     sinks: Sequence[Sink] = ()
+    health: HealthSettings = field(default_factory=HealthSettings)
 
 
 def watch(live: LiveRun, args: argparse.Namespace) -> int:
@@ -112,13 +117,16 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
     )
     if recorder is not None:
         recorder.listen(service.subscribe(FRAMES_CAPACITY, waits=live.every_frame))
+    settings = live.health if args.metrics is None else replace(live.health, metrics_port=args.metrics)
+    reporting = Reporting(live.grabber.name, viewing.state, settings, live.grabber.clock)
     with service:
         service.open()
         prepare_kernels()
         viewing.announce()
         began_s = time.monotonic()
-        service.begin()
-        ended_by = _follow(service, recorder, args.seconds or math.inf)
+        with reporting.running(service.health):
+            service.begin()
+            ended_by = _follow(service, reporting, recorder, args.seconds or math.inf)
         tell(ended_by, "INFO" if service.failure is None else "ERROR")
         service.stop(FLUSH_S if ended_by == "ended" else STOP_S)
     return _conclude(service, recorder, ended_by, time.monotonic() - began_s)
@@ -143,7 +151,7 @@ def prepare_kernels() -> None:
         notice.join()
 
 
-def _follow(service: LiveService, recorder: SessionRecorder | None, seconds: float) -> str:
+def _follow(service: LiveService, reporting: Reporting, recorder: SessionRecorder | None, seconds: float) -> str:
     """Show the status, and serve keys, until it is over; in a word, why it is."""
     status, end_s = StatusLine(), time.monotonic() + seconds
     try:
@@ -152,6 +160,7 @@ def _follow(service: LiveService, recorder: SessionRecorder | None, seconds: flo
                 print(KEYS, flush=True)
             while not service.wait(REFRESH_S):
                 now = service.health(), service.latest
+                reporting.report(now[0])
                 status.show(status_parts(*now), status_parts(*now, brief=True))
                 if keys is not None and recorder is not None:
                     for key in keys():

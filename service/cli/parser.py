@@ -205,6 +205,15 @@ def _interpreting(p: _Parser) -> None:
 # -- the commands ------------------------------------------------------------------------------------------------------
 
 
+def _metrics(p: _Parser) -> None:
+    p.add_argument(
+        "--metrics",
+        metavar="PORT",
+        type=_whole(1, 65535),
+        help="let Prometheus ask how the service does, at this port of this machine",
+    )
+
+
 def _recording(p: _Parser) -> None:
     p.add_argument(
         "--record",
@@ -219,6 +228,7 @@ def _recording(p: _Parser) -> None:
 
 
 def _demo(p: _Parser) -> None:
+    _metrics(p)
     _viewer(p)
 
 
@@ -226,6 +236,7 @@ def _run(p: _Parser) -> None:
     _station(p)
     _interpreting(p)
     _recording(p)
+    _metrics(p)
     _viewer(p)
 
 
@@ -246,6 +257,7 @@ def _replay(p: _Parser) -> None:
     _station(p)
     _interpreting(p)
     _recording(p)
+    _metrics(p)
     _viewer(p)
 
 

@@ -55,6 +55,7 @@ def _live(
         camera=read_camera(args.camera) if args.camera else s.camera,
         measuring=replace(s.measuring, field_order=order),
         viewer=s.viewer,
+        health=s.health,
         every_frame=every_frame,
         interpreter=interpreter_for(args, s.identity, s.alignment, generator),
         recording=RecordingChoice(

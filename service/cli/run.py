@@ -55,6 +55,7 @@ def run(args: argparse.Namespace) -> int:
                 configuration(station_file(args.config), camera=None if camera is s.camera else camera),
                 s.identity.rule(s.generator),
             ),
+            health=s.health,
             supervision=None if recorded else Supervision(s.supervision, remake=lambda: _grabber(s)),
         ),
         args,

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from service.acquisition.worker import Answer
     from service.vision.measurement import Measurement
 
-__all__ = ["status_parts", "summary_lines"]
+__all__ = ["health_figures", "status_parts", "summary_lines"]
 
 
 def status_parts(health: Health, latest: Answer | None, *, brief: bool = False) -> list[str]:
@@ -80,6 +80,26 @@ def summary_lines(health: Health, seconds: float, ended_by: str) -> list[str]:
         waiting = f", {s.depth:,} waiting" if s.depth else ""
         lines.append(f"  {name:12} {s.accepted:,} frames, {s.dropped:,} dropped, {s.failed:,} failed{waiting}")
     return lines
+
+
+def health_figures(health: Health) -> dict[str, str]:
+    """The health snapshot in words, by what each figure is of."""
+    a, r = health.account, health.resources
+    figures = {
+        "source": f"{health.shown}, {health.state}, generation {health.generation}, {health.recoveries} recoveries",
+        "frames": f"{health.capture_fps:.1f} /s in, {health.result_fps:.1f} /s answered, interval "
+        f"{_ms(health.interval_ms)}",
+        "age": f"{_ms(health.age_ms)} when measured, {_ms(health.latency_ms)} when answered",
+        "counted": f"{a.delivered:,} delivered, {a.lost:,} lost, {a.processed:,} processed, "
+        f"{a.superseded:,} superseded, {a.too_old:,} too old, {a.corrupt:,} corrupt, {a.failed:,} failed, "
+        f"{a.unaccounted:,} unaccounted",
+        "waiting": ", ".join(
+            [f"{health.waiting} to be measured", *(f"{s.depth} for {name}" for name, s in health.sinks.items())]
+        ),
+    }
+    if r.rss_bytes is not None:
+        figures["process"] = f"{r.rss_bytes / 2**20:.0f} MiB, {r.fds} files open, {r.threads} threads"
+    return figures
 
 
 def _locks(locks: Mapping[str, int]) -> str:

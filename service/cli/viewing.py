@@ -16,6 +16,7 @@ if TYPE_CHECKING:
 
     from service.config.generators import SteamGenerator
     from service.config.station import ViewerSettings
+    from service.sinks.base import SourceState
     from service.sinks.queued import QueuedSink
     from service.sinks.viewer import ViewerSink
     from service.sinks.viewer_drawing import Watch
@@ -39,6 +40,11 @@ class Viewing:
         if self.opens and not _open(self.live.url):
             say("no browser can be opened from here; open the viewer's address yourself")
 
+    def state(self, state: SourceState) -> None:
+        """Show what the picture is worth."""
+        for sink in self.sinks:
+            sink.state(state)
+
     def event(self, text: str, level: str) -> None:
         """Show a line among the events: INFO, WARN or ERROR."""
         for sink in self.sinks:
@@ -58,7 +64,8 @@ def viewer_watch(generator: SteamGenerator, kind: str, source: str) -> Callable[
         from service.sinks.viewer_drawing import Watch as Made  # noqa: PLC0415
 
         epoch_ns = time.time_ns() - time.monotonic_ns() if kind == "LIVE" else None
-        return Made(generator.lattice, f"{kind} {source} · {generator.label}", epoch_ns)
+        title = source if kind == "LIVE" else f"{kind} {source}"  # whether it is live now, its state tells
+        return Made(generator.lattice, f"{title} · {generator.label}", epoch_ns)
 
     return watch
 

@@ -18,7 +18,7 @@ from service.config.console import ConsoleSettings, read_console
 from service.config.generators import SteamGenerator, load_generator
 from service.config.instruments import LensSettings, RangeFinderSettings, lens_settings, range_finder_settings
 from service.config.recording import RecordingSettings, recording_settings
-from service.config.supervision import SupervisionSettings, read_supervision
+from service.config.supervision import HealthSettings, SupervisionSettings, read_health, read_supervision
 from service.config.table import Table, read_toml
 
 if TYPE_CHECKING:
@@ -98,6 +98,7 @@ class Station:
     identity: IdentitySettings = field(default_factory=IdentitySettings)
     alignment: GuideSettings | None = None
     supervision: SupervisionSettings = field(default_factory=SupervisionSettings)
+    health: HealthSettings = field(default_factory=HealthSettings)
     console: ConsoleSettings = field(default_factory=ConsoleSettings)
     recording: RecordingSettings = field(default_factory=RecordingSettings)
 
@@ -108,7 +109,7 @@ def read_station(path: Path) -> Station:
     source, generator, camera = t.table("source", required=True), t.table("generator", required=True), t.table("camera")
     measuring, viewer = t.table("measuring"), t.table("viewer")
     lens, range_finder = t.table("lens"), t.table("range_finder")
-    supervision, recording = t.table("supervision"), t.table("recording")
+    supervision, health, recording = t.table("supervision"), t.table("health"), t.table("recording")
     identity, alignment, console = t.table("identity"), t.table("alignment"), t.table("console")
     t.finish()
     tubes, names = _generator(generator, path.parent), read_identity(identity, path.parent)
@@ -123,6 +124,7 @@ def read_station(path: Path) -> Station:
         identity=names,
         alignment=read_alignment(alignment, path.parent, tubes, names.rule(tubes)),
         supervision=read_supervision(supervision),
+        health=read_health(health),
         console=read_console(console),
         recording=recording_settings(recording, path.parent),
     )

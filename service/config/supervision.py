@@ -1,4 +1,4 @@
-"""The station file's [supervision]: when a source counts as gone wrong, and what is done about it."""
+"""The station file's [supervision] and [health]: when a source counts as gone wrong, and how the service is watched."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from service.config.table import Table
 
-__all__ = ["SupervisionSettings", "read_supervision"]
+__all__ = ["HealthSettings", "SupervisionSettings", "read_health", "read_supervision"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +51,33 @@ class SupervisionSettings:
     retry_most_s: float = 5.0
     look_s: float = 0.5
     usb_reset: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class HealthSettings:
+    """[health].
+
+    Attributes
+    ----------
+    metrics_port
+        Where Prometheus may ask, on loopback; None: nowhere.
+    log_every_s
+        How often a line of the log says how the service does.
+    """
+
+    metrics_port: int | None = None
+    log_every_s: float = 60.0
+
+
+def read_health(t: Table) -> HealthSettings:
+    """Read [health]."""
+    default = HealthSettings()
+    settings = HealthSettings(
+        metrics_port=t.integer("metrics_port", default.metrics_port, minimum=1, maximum=65535),
+        log_every_s=t.number("log_every_s", default.log_every_s, minimum=1, maximum=86400),
+    )
+    t.finish()
+    return settings
 
 
 def read_supervision(t: Table) -> SupervisionSettings:

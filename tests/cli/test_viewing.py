@@ -39,12 +39,12 @@ def test_options_overrule_the_station(make):
     assert made["memory_limit"] == "64MiB"
 
 
-def test_the_title_says_whether_it_is_live(make):
+def test_the_title_says_what_is_not_live_and_claims_nothing_of_what_may_be(make):
     _, made = make()
     assert made["watch"].title.startswith("REPLAY bowl.mp4")
     assert made["watch"].epoch_ns is None
     _, made = make(kind="LIVE")
-    assert made["watch"].title.startswith("LIVE")
+    assert made["watch"].title.startswith("bowl.mp4")
     assert made["watch"].epoch_ns > 0
 
 
