@@ -3,8 +3,9 @@
 Real tube ends stand a little off their nominal places, and each errs alike in every picture. Its offset (X, Y, Z) is an
 unknown with the lattice's scatter for a prior: without it the covariance would shrink with every picture more of the
 same tubes. The offsets, of which there are many, are eliminated tube by tube (Schur complement); poses and camera
-remain. What light does to all edges alike is an unknown too: a shift and the light's own slope, common to all pictures.
-An apparent depth of all rims moves each pose along its normal, and nothing else.
+remain. What light and lens do beyond the model is an unknown too, common to all pictures: a smooth field over the
+picture, which the camera's centre and bend would take up unseen, and the light's own slope. An apparent depth of all
+rims moves each pose along its normal, and nothing else.
 """
 
 from __future__ import annotations
@@ -24,11 +25,15 @@ if TYPE_CHECKING:
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["COMMON", "POSE", "Bundle", "Range", "Solution", "Spread", "State"]
+__all__ = ["BENDS", "COMMON", "POSE", "Bundle", "Range", "Solution", "Spread", "State"]
 
 POSE = 6
-COMMON = 3
-"""Unknowns that all pictures share beside the camera: the light's part, and a shift of all edges in x and y."""
+COMMON = 13
+"""Unknowns that all pictures share beside the camera: the light's part, and second-order polynomials in x and y."""
+BENDS = np.array([2, 3, 4, 5, 6, 8, 9, 10, 11, 12])
+"""Those of them that belong to the polynomials, but for their constants."""
+SMOOTH_PX = 0.02
+"""One sigma of the polynomials' coefficients over half the picture, as far as the pictures do not tell another."""
 LEAST_SCATTER_MM = 1e-3
 
 
@@ -51,8 +56,10 @@ class Bundle:
         (F + 1,) where each picture's rows begin.
     tube
         (N,) number of each row's tube.
-    sheet_mm, center_px, covariance_px, light_px
-        (N, 2), (N, 2), (N, 3), (N, 2), as in `Keyframe`.
+    sheet_mm, center_px, covariance_px
+        (N, 2), (N, 2), (N, 3), as in `Keyframe`.
+    shared_px
+        (N, 2, COMMON) how far each of what all pictures share moves a centre.
     tubes
         How many there are.
     scatter_mm
@@ -66,7 +73,7 @@ class Bundle:
     sheet_mm: NDArray[np.float64]
     center_px: NDArray[np.float64]
     covariance_px: NDArray[np.float64]
-    light_px: NDArray[np.float64]
+    shared_px: NDArray[np.float64]
     tubes: int
     scatter_mm: NDArray[np.float64]
     common_sigma: NDArray[np.float64]
@@ -86,17 +93,27 @@ class Bundle:
         scatter = np.array([lattice.scatter_mm, lattice.scatter_mm, lattice.height_scatter_mm])
         light = np.median([k.light_variance for k in keyframes])
         shift = np.median([k.shift_variance_px2 for k in keyframes], axis=0)
+        smooth = [SMOOTH_PX] * 5
         return cls(
             start=np.cumsum([0, *(len(k) for k in keyframes)]),
             tube=tube.reshape(-1).astype(np.int64),
             sheet_mm=np.concatenate([k.sheet_mm for k in keyframes]),
             center_px=np.concatenate([k.center_px for k in keyframes]),
             covariance_px=np.concatenate([k.covariance_px for k in keyframes]),
-            light_px=np.concatenate([k.light_px for k in keyframes]),
+            shared_px=np.concatenate([_shared(k) for k in keyframes]),
             tubes=len(found),
             scatter_mm=np.maximum(scatter, LEAST_SCATTER_MM),
-            common_sigma=np.sqrt([light, *shift]),
+            common_sigma=np.array([light**0.5, shift[0] ** 0.5, *smooth, shift[1] ** 0.5, *smooth]),
         )
+
+
+def _shared(k: Keyframe) -> Array:
+    """The light's part, then 1, x, y, x^2, xy, y^2 along x, then along y: (n, 2, COMMON)."""
+    x, y = (2 * k.center_px / np.array(k.camera.image_size_px) - 1).T
+    field = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
+    out = np.zeros((len(k), 2, COMMON))
+    out[:, :, 0], out[:, 0, 1:7], out[:, 1, 7:] = k.light_px, field, field
+    return out
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,12 +138,20 @@ class Spread:
         (F,) what each picture's centre noise is taken times.
     scatter
         (2,) what the tubes' scatter in the plane and in height is taken times.
+    bend
+        What the smooth field's coefficients are taken times.
     """
 
     weight: NDArray[np.float64]
     tube_weight: NDArray[np.float64]
     noise: NDArray[np.float64]
     scatter: NDArray[np.float64]
+    bend: float = 1.0
+
+    @classmethod
+    def as_stated(cls, bundle: Bundle) -> Spread:
+        """Everything as large as stated, and believed."""
+        return cls(np.ones(len(bundle.tube)), np.ones(bundle.tubes), np.ones(bundle.frames), np.ones(2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import cv2
 import numpy as np
 
-from service.vision.bundle import COMMON, POSE, Solution, Spread, State
+from service.vision.bundle import BENDS, COMMON, POSE, Solution, Spread, State
 from service.vision.compiled import compiled
 from service.vision.equations import LOST, Equations, assemble, tube_variances
 from service.vision.pose import PARAMETERS, TUKEY, camera_with, linearise
@@ -30,8 +30,8 @@ ROUNDS = 3
 ITERATIONS = 12
 STILL = 1e-2
 """A solution whose chi-square falls by less stands still."""
-PRIOR_COUNT = 40.0
-"""How many residuals the stated noise and scatter count for against what the pictures show."""
+PRIOR_COUNT, BEND_COUNT = 40.0, 4.0
+"""How many residuals, or coefficients, what is stated of their size counts for against what the pictures show."""
 LEAST_WEIGHT = 1e-3
 
 
@@ -58,7 +58,7 @@ def solve(
     """
     work = Work(bundle, camera, prior, known_range)
     given = spread is not None
-    spread = spread or Spread(np.ones(len(bundle.tube)), np.ones(bundle.tubes), np.ones(bundle.frames), np.ones(2))
+    spread = spread or Spread.as_stated(bundle)
     for _ in range(1 if given else ROUNDS):
         state, spread, converged = work.minimise(state, spread)
         if not given:
@@ -76,10 +76,7 @@ class Work:
         n = len(bundle.tube)
         self.px, self.J, self.place = np.empty((n, 2)), np.empty((n, 2, 16)), np.empty((n, 2, 3))
         k = len(self.free)
-        self.known = np.zeros((k + COMMON, k + COMMON))
-        if k:
-            self.known[:k, :k] = np.linalg.inv(prior.covariance)
-        self.known[k:, k:] = np.diag(bundle.common_sigma**-2.0)
+        self._known = np.linalg.inv(prior.covariance) if k else np.zeros((0, 0))
         counts = np.diff(bundle.start)
         self.middle = np.add.reduceat(bundle.sheet_mm, bundle.start[:-1]) / counts[:, None]
 
@@ -99,8 +96,15 @@ class Work:
 
     def residual(self, state: State) -> Array:
         """Measured minus predicted, (N, 2) px, under the state last projected."""
-        light, x, y = state.common
-        return np.asarray(self.bundle.center_px - self.px - light * self.bundle.light_px - [x, y])
+        return np.asarray(self.bundle.center_px - self.px - self.bundle.shared_px @ state.common)
+
+    def known(self, spread: Spread) -> Array:
+        """Information on camera and common unknowns that does not come from the pictures."""
+        k, sigma = len(self.free), self.bundle.common_sigma.copy()
+        sigma[BENDS] *= spread.bend
+        out = np.diag(np.concatenate([np.zeros(k), sigma**-2.0]))
+        out[:k, :k] = self._known
+        return out
 
     def equations(self, state: State, spread: Spread) -> Equations:
         """Normal equations with the tubes eliminated, about the state last projected."""
@@ -110,14 +114,15 @@ class Work:
         root = np.empty((b.tubes, 3, 3))
         tube_information = spread.tube_weight[:, None] / (b.scatter_mm * spread.scatter[[0, 0, 1]]) ** 2
         cost = assemble(
-            b.start, b.tube, self.residual(state), self.J, self.place, b.light_px, b.covariance_px, spread.weight,
+            b.start, b.tube, self.residual(state), self.J, self.place, b.shared_px, b.covariance_px, spread.weight,
             spread.noise, tube_information, self.free, H, g, Y, y, root,
         )  # fmt: skip
         c = POSE * b.frames
         off = np.concatenate([state.values[self.free] - self.prior.mean, state.common])
-        H[c:, c:] += self.known
-        g[c:] -= self.known @ off
-        prior_chi2 = float(off @ self.known @ off)
+        known = self.known(spread)
+        H[c:, c:] += known
+        g[c:] -= known @ off
+        prior_chi2 = float(off @ known @ off)
         if self.range is not None:
             prior_chi2 += self._hold_distance(state, self.range, H, g)
         return Equations(H, g, Y, y, root, cost - float(y @ y) + prior_chi2, prior_chi2)
@@ -195,8 +200,9 @@ class Work:
         """Noise and scatter, from what is left at the minimum and from the freedom that the fit took."""
         b = self.bundle
         equations = self.equations(state, spread)
+        covariance = equations.covariance()
         m2, _ = self.distances(state, spread, equations)
-        offset, left_of_prior = equations.offsets(), self._freedom(spread, equations)
+        offset, left_of_prior = equations.offsets(), self._freedom(spread, equations, covariance)
         sigma = b.scatter_mm * spread.scatter[[0, 0, 1]]
         ours = spread.tube_weight > LEAST_WEIGHT
         seen, freedom = (offset[ours] / sigma) ** 2, 1 - left_of_prior[ours]
@@ -211,11 +217,20 @@ class Work:
             rows = slice(b.start[f], b.start[f + 1])
             mine = m2[rows][used[rows]]
             noise[f] *= math.sqrt((mine.sum() + PRIOR_COUNT) / (2.0 * len(mine) * share + PRIOR_COUNT))
-        return replace(spread, noise=noise, scatter=spread.scatter * np.sqrt(ratios))
+        return replace(
+            spread, noise=noise, scatter=spread.scatter * np.sqrt(ratios), bend=self._bend(state, spread, covariance)
+        )
 
-    def _freedom(self, spread: Spread, equations: Equations) -> Array:
+    def _bend(self, state: State, spread: Spread, covariance: Array) -> float:
+        """How large the smooth field is."""
+        sigma = self.bundle.common_sigma[BENDS]
+        left_of_prior = np.diag(covariance)[-COMMON:][BENDS] / (sigma * spread.bend) ** 2
+        seen = float(np.sum((state.common[BENDS] / sigma) ** 2))
+        return math.sqrt((seen + BEND_COUNT) / (float(np.sum(1 - left_of_prior)) + BEND_COUNT))
+
+    def _freedom(self, spread: Spread, equations: Equations, covariance: Array) -> Array:
         """Part of each tube offset's prior variance that remains after the fit, (J, 3)."""
-        posterior = tube_variances(equations.Y, equations.root, equations.covariance())
+        posterior = tube_variances(equations.Y, equations.root, covariance)
         sigma = self.bundle.scatter_mm * spread.scatter[[0, 0, 1]]
         return np.asarray(np.minimum(posterior / sigma**2, 1.0))
 

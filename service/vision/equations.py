@@ -63,7 +63,7 @@ class Equations:
 
 @compiled
 def assemble(
-    start: NDArray[np.int64], tube: NDArray[np.int64], residual: Array, J: Array, place: Array, light: Array,
+    start: NDArray[np.int64], tube: NDArray[np.int64], residual: Array, J: Array, place: Array, shared: Array,
     cov: Array, weight: Array, noise: Array, tube_information: Array, free: NDArray[np.int64], H: Array, g: Array,
     Y: Array, y: Array, root: Array,
 ) -> float:  # fmt: skip
@@ -75,7 +75,8 @@ def assemble(
     chi2 = _information(start, residual, cov, weight, noise, info)
     _tube_factors(tube, place, info, tube_information, root)
     k = free.shape[0]
-    B, at = np.empty((2, 9 + k)), np.empty(9 + k, np.int64)
+    width = 6 + k + shared.shape[2]
+    B, at = np.empty((2, width)), np.empty(width, np.int64)
     at[6:] = np.arange(6 * (start.shape[0] - 1), H.shape[0])
     for f in range(start.shape[0] - 1):
         at[:6] = np.arange(6 * f, 6 * f + 6)
@@ -86,7 +87,7 @@ def assemble(
                 B[axis, :6] = J[i, axis, :6]
                 for p in range(k):
                     B[axis, 6 + p] = J[i, axis, 6 + free[p]]
-                B[axis, 6 + k], B[axis, 7 + k], B[axis, 8 + k] = light[i, axis], 1.0 - axis, 1.0 * axis
+                B[axis, 6 + k :] = shared[i, axis]
             _add(B, at, residual[i], info[i], place[i], root[tube[i]], 3 * tube[i], H, g, Y, y)
     for p in range(H.shape[0]):
         for q in range(p):

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.bundle import Bundle, Range, Solution, State
+from service.vision.bundle import COMMON, Bundle, Range, Solution, State
 from service.vision.bundle_solver import solve
 from service.vision.camera import Camera, OpenCVLens, TsaiLens
 from service.vision.errors import DegenerateError
@@ -103,7 +103,7 @@ def starting_state(keyframes: Sequence[Keyframe], camera: Camera, lattice: Latti
         )  # fmt: skip
         rotation.append(fit.rotation)
         translation.append(fit.translation_mm)
-    return State(_values(camera), np.array(rotation), np.array(translation), np.zeros(3))
+    return State(_values(camera), np.array(rotation), np.array(translation), np.zeros(COMMON))
 
 
 def _values(camera: Camera) -> Array:

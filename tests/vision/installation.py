@@ -30,9 +30,13 @@ def tilted(rng, count, most_deg=15.0):
 
 
 class Sheet:
-    """Tubes, each with an offset of its own that stays the same in every picture."""
+    """Tubes, each with an offset of its own that stays the same in every picture.
 
-    def __init__(self, rng, scatter_mm=0.06, height_mm=0.0, lattice=LATTICE):
+    So does a smooth field over the picture, of what light and lens do beyond the model: `bend_px` its coefficients.
+    """
+
+    def __init__(self, rng, scatter_mm=0.06, height_mm=0.0, lattice=LATTICE, bend_px=0.0):
+        self.field_px = bend_px * rng.standard_normal((6, 2))
         self.rng, self.lattice, self.scatter_mm = rng, lattice, (scatter_mm, scatter_mm, height_mm)
         self.offset_mm = {}
 
@@ -46,6 +50,8 @@ class Sheet:
         px = project(
             camera.vector(), rotation, translation, np.column_stack([sites.sheet_mm, np.zeros(len(sites))]) + off
         )
+        x, y = (2 * px / np.array(camera.image_size_px) - 1).T
+        px = px + np.stack([0 * x, x, y, x * x, x * y, y * y], axis=1) @ self.field_px
         wrong = np.exp(0.05 * self.rng.standard_normal())
         f = camera.focal_length_mm * wrong
         return Keyframe(

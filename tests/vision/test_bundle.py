@@ -1,9 +1,11 @@
 """The elimination of the tubes, against the same system written out in full."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from service.vision.bundle import Bundle, Spread
+from service.vision.bundle import COMMON, Bundle, Spread
 from service.vision.bundle_solver import Work
 from service.vision.cholesky import inverse_factor, inverted, solved
 from service.vision.pose import camera_with, prior_of
@@ -45,22 +47,22 @@ def in_full(work, state, spread):
     for i in range(n):
         A[i, :, 6 * frame[i] : 6 * frame[i] + 6] = work.J[i, :, :6]
         A[i, :, c : c + k] = work.J[i][:, 6 + work.free]
-        A[i, :, c + k] = b.light_px[i]
-        A[i, :, c + k + 1 : c + k + 3] = np.eye(2)
+        A[i, :, c + k : work.size] = b.shared_px[i]
         A[i, :, work.size + 3 * b.tube[i] : work.size + 3 * b.tube[i] + 3] = work.place[i]
+    known = work.known(spread)
     xx, xy, yy = b.covariance_px.T
     W = spread.weight[:, None, None] * np.linalg.inv(np.array([[xx, xy], [xy, yy]]).transpose(2, 0, 1))
     H = np.einsum("nip,nij,njq->pq", A, W, A)
-    H[c : work.size, c : work.size] += work.known
+    H[c : work.size, c : work.size] += known
     H[work.size :, work.size :] += np.diag(np.tile(b.scatter_mm**-2.0, b.tubes))
     g = np.einsum("nip,nij,nj->p", A, W, work.residual(state))
-    g[c : work.size] -= work.known @ np.concatenate([state.values[work.free] - work.prior.mean, state.common])
+    g[c : work.size] -= known @ np.concatenate([state.values[work.free] - work.prior.mean, state.common])
     return H, g
 
 
 def test_a_step_and_the_covariance_are_those_of_the_whole_system(work):
     w, state = work
-    spread = Spread(np.ones(len(w.bundle.tube)), np.ones(w.bundle.tubes), np.ones(w.bundle.frames), np.ones(2))
+    spread = replace(Spread.as_stated(w.bundle), bend=0.7)
     equations = w.equations(state, spread)
     H, g = in_full(w, state, spread)
     inverse = np.linalg.inv(H)
@@ -77,10 +79,10 @@ def test_the_prediction_changes_as_its_derivatives_say(work):
     rng = np.random.default_rng(0)
     step = np.zeros(w.size)
     step[: 6 * w.bundle.frames] = (rng.standard_normal((w.bundle.frames, 6)) * [*[1e-6] * 3, *[1e-3] * 3]).ravel()
-    step[6 * w.bundle.frames : -3] = 1e-5 * np.where(w.free == 4, 1.0, state.values[w.free])
+    step[6 * w.bundle.frames : -COMMON] = 1e-5 * np.where(w.free == 4, 1.0, state.values[w.free])
     after = w.moved(state, step)
     assert camera_with(w.camera, after.values).focal_length_mm != state.values[0]
     w.project(after)
     poses = step[: 6 * w.bundle.frames].reshape(-1, 6)[frame]
-    expected = np.einsum("nip,np->ni", J[:, :, :6], poses) + J[:, :, 6 + w.free] @ step[6 * w.bundle.frames : -3]
+    expected = np.einsum("nip,np->ni", J[:, :, :6], poses) + J[:, :, 6 + w.free] @ step[6 * w.bundle.frames : -COMMON]
     assert w.px - px == pytest.approx(expected, abs=2e-4)
