@@ -8,6 +8,7 @@ One line of checked JSON a record (see `checked_lines`), appended as things happ
 ``frame``             a frame that was recorded
 ``measured``          a recorded frame was measured, and what its lines in the result log are; null: it was lost here
 ``overflowed``        so many more frames that found no room in the recorder
+``written``           how much of a video file there is by now, and the SHA-256 of that much
 ``finished``          a video file is complete, and its SHA-256
 ``evidence``          so many evidence records there are now, and the hash of the last
 ``closed``            the last line of a session that ended in order
@@ -46,6 +47,7 @@ __all__ = [
     "Overflow",
     "Row",
     "Stream",
+    "Written",
     "measured_rows",
     "pixels_crc32",
     "read_index",
@@ -172,6 +174,19 @@ class Overflow:
 
 
 @dataclass(frozen=True, slots=True)
+class Written:
+    """How much of a video file was written, and the SHA-256 of that: what holds where the recording is interrupted."""
+
+    video: str
+    size_bytes: int
+    sha256: str
+
+    def record(self) -> dict[str, Any]:
+        """The line's values."""
+        return {"written": self.video, "bytes": self.size_bytes, "sha256": self.sha256}
+
+
+@dataclass(frozen=True, slots=True)
 class Finished:
     """A video file that was written to its end."""
 
@@ -226,7 +241,7 @@ class Fault:
     torn: bool = False
 
 
-Item: TypeAlias = Header | Stream | Row | Measured | Overflow | Finished | Evidence | Closed | Fault
+Item: TypeAlias = Header | Stream | Row | Measured | Overflow | Written | Finished | Evidence | Closed | Fault
 
 
 def read_index(path: Path) -> Iterator[Item]:
@@ -340,6 +355,7 @@ _READERS: Final[Mapping[str, Callable[[Mapping[str, Any]], Item]]] = {
     "stream": _stream,
     "measured": _measured,
     "overflowed": lambda r: Overflow(_whole(r["overflowed"])),
+    "written": lambda r: Written(_video(r["written"]), _whole(r["bytes"]), _text(r["sha256"])),
     "finished": lambda r: Finished(_video(r["finished"]), _whole(r["bytes"]), _text(r["sha256"])),
     "evidence": lambda r: Evidence(_whole(r["evidence"]), _text(r["sha256"])),
     "closed": _closed,

@@ -337,6 +337,26 @@ def _align_setup(p: _Parser) -> None:
     p.add_argument("--config", metavar="FILE", type=Path, help="station file: its [identity] names the tubes")
 
 
+def _verify(p: _Parser) -> None:
+    p.add_argument("session", metavar="SESSION", type=Path, help="a recorded session's folder")
+    p.add_argument("--recompute", action="store_true", help="measure all of it again, too")
+
+
+def _sessions(p: _Parser) -> None:
+    p.add_argument(
+        "words", metavar="WORD", nargs="*", help="only those that have it: tube, name, operator, date, event"
+    )
+    p.add_argument(
+        "--in", dest="folder", metavar="FOLDER", type=Path, help="folder of sessions; default: the station's"
+    )
+    p.add_argument("--since", metavar="DATE", help="begun on or after this day, such as 2026-11-22")
+    p.add_argument("--until", metavar="DATE", help="begun on or before this day")
+    p.add_argument("--tube", metavar="NAME", help="this tube was seen")
+    p.add_argument("--rebuild", action="store_true", help="make the index of sessions anew from their folders")
+    p.add_argument("--json", action="store_true", help="for programs: a JSON line a session")
+    _station(p)
+
+
 def _devices(p: _Parser) -> None:
     p.add_argument("--json", action="store_true", help="for programs")
 
@@ -366,6 +386,8 @@ COMMANDS: dict[str, tuple[str, str, Callable[[_Parser], None]]] = {
         _align_setup,
     ),
     "simulate": ("render a bowl video with its truth", "bowl.mkv --generator model-f --seed 7", _simulate),
+    "sessions": ("list and search recorded sessions", "L83R87 --since 2026-11-01", _sessions),
+    "verify": ("check a session's evidence and every byte of it", "SESSION --recompute", _verify),
     "devices": ("list the sources and devices of this machine", "", _devices),
 }
 """Name: what it does, an example of its arguments, its options. Module `service.cli.NAME` runs it, with _ for -."""

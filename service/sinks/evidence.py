@@ -32,9 +32,20 @@ if TYPE_CHECKING:
     from service.results import FrameResult
     from service.sinks.evidence_record import EvidenceContext
 
-__all__ = ["HEADS", "RECORDS", "SCHEMA", "EvidenceLog", "EvidenceRecord", "read_records", "without_times"]
+__all__ = [
+    "HEADS",
+    "RECORDS",
+    "SCHEMA",
+    "TORN",
+    "EvidenceLog",
+    "EvidenceRecord",
+    "head_line",
+    "read_records",
+    "without_times",
+]
 
 SCHEMA = 1
+TORN: Final = "is cut short, or its line end was changed"
 RECORDS, HEADS = "records.jsonl", "heads.jsonl"
 _SUFFIX: Final = re.compile(rb',"hash":"([0-9a-f]{64})"}')
 _SUFFIX_BYTES: Final = 75
@@ -167,9 +178,14 @@ class EvidenceLog:
         digest = hashlib.sha256(body.encode("ascii")).hexdigest()
         _write(self._folder / RECORDS, f'{body},"hash":"{digest}"}}\n'.encode("ascii"), os.O_APPEND)
         self._previous, self._count = digest, number + 1
-        _write(self._folder / HEADS, f'{{"records":{self._count},"hash":"{digest}"}}\n'.encode("ascii"), os.O_APPEND)
+        _write(self._folder / HEADS, head_line(self._count, digest) + b"\n", os.O_APPEND)
         self._witness(self._count, digest)
         return EvidenceRecord(number, dict(values), digest)
+
+
+def head_line(records: int, digest: str) -> bytes:
+    """What the list of hashes says of the last of so many records."""
+    return f'{{"records":{records},"hash":"{digest}"}}'.encode("ascii")
 
 
 def without_times(line: Mapping[str, Any]) -> dict[str, Any]:
@@ -205,13 +221,13 @@ def _write(path: Path, data: bytes, how: int) -> None:
         os.close(handle)
 
 
-def read_records(folder: Path, genesis: str) -> Iterator[tuple[int, EvidenceRecord | None, str | None]]:
+def read_records(folder: Path, genesis: str | None) -> Iterator[tuple[int, EvidenceRecord | None, str | None]]:
     """Read the records of an evidence folder: line number, record, and None or what is wrong with it.
 
     Parameters
     ----------
     genesis
-        SHA-256 of the session's description.
+        SHA-256 of the session's description; None: what the first record follows is not checked.
 
     Raises
     ------
@@ -227,16 +243,16 @@ def read_records(folder: Path, genesis: str) -> Iterator[tuple[int, EvidenceReco
             yield number, record, problem
 
 
-def _record(raw: bytes, number: int, previous: str) -> tuple[EvidenceRecord | None, str | None]:
+def _record(raw: bytes, number: int, previous: str | None) -> tuple[EvidenceRecord | None, str | None]:
     if not raw.endswith(b"\n"):
-        return None, "is cut short, or its line end was changed"
+        return None, TORN
     body = raw[: -1 - _SUFFIX_BYTES]
     found = _SUFFIX.fullmatch(raw, len(body), len(raw) - 1)
     if found is None or hashlib.sha256(body).hexdigest().encode() != found[1]:
         return None, "was changed: its hash is not that of its text"
     try:
         values = json.loads(body + b"}")
-        if values.pop("previous") != previous:
+        if values.pop("previous") != previous and previous is not None:
             return None, "does not follow the record before it: one was changed, taken out or put in"
         if values["number"] != number:
             return None, f"has number {values['number']}, where {number} belongs"

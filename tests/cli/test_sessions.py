@@ -190,3 +190,61 @@ def test_results_are_lines_of_the_documented_kind(recorded):
     session = open_session(recorded(frames=3))
     lines = (session.folder / "results.jsonl").read_text().splitlines()
     assert [json.loads(line)["schema"] for line in lines] == [1, 1, 1]
+
+
+def test_verify_says_that_a_session_is_sound_and_what_is_not(recorded, bowlsight):
+    folder = recorded()
+    status, out, _ = bowlsight("verify", folder)
+    assert (status, out) == (0, f"{folder.name}: sound: 10 frames, 10 measured, 0 evidence records\n")
+    text = (folder / "results.jsonl").read_text()
+    (folder / "results.jsonl").write_text(text.replace('"lock":"full"', '"lock":"none"', 1))
+    status, out, _ = bowlsight("verify", folder)
+    assert status == 1
+    assert out.startswith("results.jsonl: the lines of frame 0, from byte 0 on, were changed\n")
+    assert out.endswith(f"{folder.name}: 1 problems\n")
+
+
+def test_verify_measures_again_where_asked(recorded, bowlsight, vision, monkeypatch):
+    monkeypatch.setattr("service.cli.verify.prepare_kernels", lambda: None)
+    vision.answer = counting()
+    folder = recorded()
+    vision.answer = counting()
+    status, out, _ = bowlsight("verify", folder, "--recompute")
+    assert status == 0
+    assert "10 frames equal to the last bit" in out
+    status, out, _ = bowlsight("verify", folder, "--recompute")  # vision goes on counting: another result
+    assert status == 1
+    assert "results.jsonl: frame 0: pose" in out
+
+
+def test_verify_of_what_is_no_session_is_refused(bowlsight, tmp_path):
+    status, out, err = bowlsight("verify", tmp_path)
+    assert (status, out) == (2, "")
+    assert "is no recorded session; bowlsight sessions lists those there are" in err
+
+
+def test_sessions_are_listed_and_searched(recorded, bowlsight, tmp_path):
+    folder = recorded("--operator", "Zoe")
+    status, out, _ = bowlsight("sessions", "--in", folder.parent, "zoe")
+    assert status == 0
+    assert folder.name in out
+    assert "by Zoe" in out
+    assert out.endswith(f"1 session in {folder.parent}\n")
+    status, out, _ = bowlsight("sessions", "--in", folder.parent, "--json", "--rebuild")
+    (entry,) = [json.loads(line) for line in out.splitlines()]
+    assert (entry["frames"], entry["end"], entry["folder"]) == (10, "closed", str(folder))
+    assert bowlsight("sessions", "--in", folder.parent, "nobody")[1].startswith("0 sessions in ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["--in", "none"], "none: cannot be listed: No such file or directory"),
+        (["--since", "yesterday", "--in", "."], "--since = 'yesterday': must be a day, such as 2026-11-22"),
+    ],
+)
+def test_sessions_that_cannot_be_listed_are_refused(bowlsight, arguments, words):
+    status, out, err = bowlsight("sessions", *arguments)
+    assert (status, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1

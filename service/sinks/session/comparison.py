@@ -44,7 +44,9 @@ class Comparison:
 
     def __init__(self, session: RecordedSession) -> None:
         self._answers: Iterator[Answered] = session.answers()
-        self._exact, self._generation = session.about.from_start, 0
+        self._generation = 0
+        self.exact = session.about.from_start
+        """Whether the frames so far are all that the results so far were measured from."""
         self._over = False
         self.equal = self.different = self.inexact = self.damaged = 0
         """Frames that are equal; that differ; that differ and were measured with more than is recorded; without a
@@ -80,10 +82,10 @@ class Comparison:
             if was is None:
                 self._over = True
             elif was.row is None:
-                self._exact = False
+                self.exact = False
             elif (was.row.timestamp_ns, was.row.field) == (frame.timestamp_ns, frame.field):
                 if was.row.generation != self._generation:
-                    self._exact, self._generation = self._exact or self._generation != 0, was.row.generation
+                    self.exact, self._generation = self.exact or self._generation != 0, was.row.generation
                 return was
         return None
 
@@ -92,12 +94,12 @@ class Comparison:
         assert was.row is not None, "recorded"
         if was.problem is not None or defect != was.row.defect:
             self._note(f"frame {was.row.number}: {was.problem or defect}")
-            self.damaged, self._exact = self.damaged + 1, False
+            self.damaged, self.exact = self.damaged + 1, False
             return
         if [exact_text(line) for line in was.lines] == [exact_text(line) for line in now]:
             self.equal += 1
             return
-        if self._exact:
+        if self.exact:
             self.different += 1
             self._note(f"frame {was.row.number}: {_first_difference(was.lines, now)}")
         else:

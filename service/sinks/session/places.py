@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 __all__ = [
-    "ABOUT", "CONFIG", "CSV", "EVENTS", "EVIDENCE", "RESULTS", "STATION", "VIEWER", "SessionLock", "is_full",
+    "ABOUT", "CONFIG", "CSV", "EVENTS", "EVIDENCE", "LOCK", "RESULTS", "STATION", "VIEWER", "SessionLock", "is_full",
     "is_running", "make_folder", "session_folders", "size_bytes",
 ]  # fmt: skip
 

@@ -39,6 +39,7 @@ FRAMES_CAPACITY: Final = 90
 """Frames that may wait: three seconds of television for a slow disk, 80 MB of it at 1280x720."""
 ANSWERS_CAPACITY, EVENTS_CAPACITY = 2000, 1000
 WAIT_S = 0.05
+FOLLOW_EVERY_S = 1.0
 DRAIN_SHARE = 0.7
 """Of the time to close: for writing what waits. The rest is for the files' own ends."""
 T = TypeVar("T")
@@ -109,7 +110,7 @@ class SessionRecorder:
         self._state = RecordingState()
         self._failure: str | None = None
         self._accepted = self._lost = self._overflow_told = 0
-        self._gap = False
+        self._gap, self._follow_s = False, 0.0
         self._upkeep = Upkeep(
             plan.root, plan.settings, lambda t: self.event(t, kind="retention"), lambda: wall_ns() / 1e9, free
         )
@@ -264,10 +265,16 @@ class SessionRecorder:
             self._events.clear()
         else:
             self._write(self._running, frame, answered if frame is None else 0)
+        self._follow_viewer()
         self._upkeep.look(time.monotonic(), None if self._running is None else self._running.folder)
         self._tell_state()
         if frame is None and self._frames.exhausted and not self._waiting:
             self._closing.wait(WAIT_S)
+
+    def _follow_viewer(self) -> None:
+        if self._running is not None and self._viewer is not None and time.monotonic() >= self._follow_s:
+            self._follow_s = time.monotonic() + FOLLOW_EVERY_S
+            self._running.writer.follow_viewer()
 
     def _write(self, session: RunningSession, frame: Frame | None, settled: int) -> None:
         """Write what there is; frames of the first `settled` answers, where not recorded by now, never will be."""

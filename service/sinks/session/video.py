@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Protocol
 import av
 
 from drivers.frame import PixelFormat
-from drivers.session_index import Finished
+from drivers.session_index import Finished, Written
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -123,6 +123,11 @@ class VideoFiles:
             self._count += 1
         return self._file.name, *self._file.write(frame)
 
+    @property
+    def written(self) -> Written | None:
+        """How much of the file that is open there is; None where none is."""
+        return None if self._file is None else self._file.written
+
     def close(self) -> None:
         """Write the end of the file that is open; raises OSError where there is no room for it."""
         file, self._file = self._file, None
@@ -170,6 +175,10 @@ class _VideoFile:
         self._pts_us = tick * self._tick_us
         self._count += 1
         return self._count - 1, self._pts_us
+
+    @property
+    def written(self) -> Written:
+        return Written(self.name, self._output.size_bytes, self._output.sha256)
 
     def finish(self) -> Finished:
         try:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import zlib
 from contextlib import ExitStack, suppress
 from typing import TYPE_CHECKING, Any
@@ -22,7 +23,7 @@ from drivers.session_index import (
     pixels_crc32,
 )
 from service.sinks.session.about import file_sha256, write_about
-from service.sinks.session.places import CSV, EVENTS, RESULTS, SessionLock
+from service.sinks.session.places import CSV, EVENTS, RESULTS, VIEWER, SessionLock
 from service.sinks.session.surroundings import utc_text
 from service.sinks.session.video import HashedFile, VideoFiles
 from service.sinks.table import CsvWriter
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
 
 __all__ = ["CheckedFile", "SessionWriter"]
 
-NAMES_EVERY_NS = 1_000_000_000
+NAMES_EVERY_NS = WITNESS_EVERY_NS = 1_000_000_000
 
 
 class CheckedFile:
@@ -61,6 +62,26 @@ class CheckedFile:
     def close(self) -> None:
         """Close it. May be repeated."""
         self._file.close()
+
+
+class FollowedFile:
+    """The hash of a file that somebody else appends to, read as it grows so that its end takes no time."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, self._hash, self._at = path, hashlib.sha256(), 0
+
+    def follow(self) -> None:
+        """Read what was appended."""
+        with self._path.open("rb") as file:
+            file.seek(self._at)
+            while block := file.read(1 << 20):
+                self._hash.update(block)
+                self._at += len(block)
+
+    def sha256(self) -> str:
+        """Of all that is there."""
+        self.follow()
+        return self._hash.hexdigest()
 
 
 class SessionWriter:
@@ -99,10 +120,12 @@ class SessionWriter:
         self.folder, self._wall_ns = folder, wall_ns
         self.frames = self.measured = self.overflowed = 0
         self._results_bytes = 0
+        self._viewer: FollowedFile | None = None
         self._stream: Stream | None = None
         self._names: set[str] = set()
         self._new_names: list[str] = []
         self._named_ns: int | None = None
+        self._witnessed_ns: int | None = None
         with ExitStack() as opened:
             self._lock = SessionLock(folder)
             opened.callback(self._lock.release)
@@ -148,7 +171,16 @@ class SessionWriter:
         )
         self._index.append(row.record())
         self.frames += 1
+        self._witness(frame.received_ns)
         return row.number
+
+    def _witness(self, now_ns: int) -> None:
+        """Put into the index, once a second, what the video holds by now."""
+        if self._witnessed_ns is None:
+            self._witnessed_ns = now_ns
+        elif now_ns - self._witnessed_ns >= WITNESS_EVERY_NS and (written := self._video.written) is not None:
+            self._witnessed_ns = now_ns
+            self._index.append(written.record())
 
     def _note_finished(self) -> None:
         while self._video.finished:
@@ -184,6 +216,12 @@ class SessionWriter:
             self.event("tubes", f"{len(self._new_names)} tubes named for the first time", names=self._new_names)
             self._new_names = []
 
+    def follow_viewer(self) -> None:
+        """Read what was appended to the viewer's file; from the first call on, its hash is part of the session."""
+        if self._viewer is None:
+            self._viewer = FollowedFile(self.folder / VIEWER)
+        self._viewer.follow()
+
     def overflow(self, frames: int) -> None:
         """Note frames that were not recorded for want of room in the queue."""
         self.overflowed += frames
@@ -214,10 +252,10 @@ class SessionWriter:
             self._index.append(Closed(self._wall_ns(), reason, self.frames, self.measured, hashes).record())
 
     def _hashes(self) -> dict[str, str]:
-        """Of files that nothing else checks."""
-        if self._csv is None:
-            return {}
-        return {CSV: file_sha256(self.folder / CSV)}
+        """Of files that nothing else checks, or whose last lines nothing would miss."""
+        names = [EVENTS, *([] if self._csv is None else [CSV])]
+        viewer = {} if self._viewer is None else {VIEWER: self._viewer.sha256()}
+        return {name: file_sha256(self.folder / name) for name in names} | viewer
 
     def abort(self, reason: str) -> None:
         """Let everything go as it is, after an error; the reason is written down where there is room for that."""

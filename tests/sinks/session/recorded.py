@@ -1,6 +1,7 @@
 """Sessions for tests: a recorder fed by hand, without a service around it."""
 
 import dataclasses
+import time
 from pathlib import Path
 
 import numpy as np
@@ -90,3 +91,25 @@ def record(root: Path, frames, measured=lambda _: True, **more) -> Path:
         recording.feed(*frames, measured=measured)
     (folder,) = [p for p in root.iterdir() if p.is_dir()]
     return folder
+
+
+def record_with_evidence(root: Path, count: int = 3, **more) -> Path:
+    """Record thirty frames, verify some of them, set a mark; gives the session's folder."""
+    with Recording(root, csv=True, **more) as recording:
+        for k in range(30):
+            recording.feed(frame(k))
+            if k % 10 == 5 and k // 10 < count:
+                wait_for(lambda k=k: recording.recorder.state.measured == k + 1)
+                recording.recorder.verify("L83R87", "B. Tester", reason="the guide is bent" if k > 20 else None)
+            if k == 20:
+                recording.recorder.mark("acquisition begins")
+    (folder,) = root.iterdir()
+    return folder
+
+
+def wait_for(condition, seconds: float = 10.0) -> None:
+    """Wait for what must happen."""
+    deadline = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < deadline
+        time.sleep(0.002)
