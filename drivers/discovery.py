@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING
 
 from serial.tools import list_ports
 
+from drivers.uvc.description import usb_grabbers
 from drivers.v4l2.description import VideoDevice, video_devices
 
 if TYPE_CHECKING:
     from serial.tools.list_ports_common import ListPortInfo
 
-__all__ = ["Device", "VideoDevice", "serial_ports", "video_devices"]
+__all__ = ["Device", "VideoDevice", "serial_ports", "usb_grabbers", "video_devices"]
 
 SERIAL_LINKS = Path("/dev/serial")
 

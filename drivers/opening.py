@@ -14,10 +14,12 @@ import numpy as np
 
 from drivers.errors import ConfigError, DeviceNotFoundError
 from drivers.grabber import Clock, FieldMode, Grabber
+from drivers.opencv import OpenCvGrabber
 from drivers.replay import ReplayGrabber
 from drivers.scene import GENERATORS, LOOKS
 from drivers.simulated import SimulatedGrabber
 from drivers.simulation import default_scene
+from drivers.uvc.grabber import UvcGrabber
 from drivers.v4l2.encodings import ENCODINGS
 from drivers.v4l2.grabber import V4l2Grabber
 
@@ -29,7 +31,8 @@ __all__ = ["open_grabber"]
 log = logging.getLogger(__name__)
 
 SOURCES = (
-    "a video, a folder of pictures, a picture, v4l2:DEVICE[?key=value&...] or simulated[:GENERATOR][?key=value&...];"
+    "a video, a folder of pictures, a picture, v4l2:DEVICE[?key=value&...], uvc:DEVICE[?key=value&...],"
+    " opencv:DEVICE[?key=value&...] or simulated[:GENERATOR][?key=value&...];"
     " bowlsight devices lists what is there"
 )
 NODE = re.compile(r"/dev/video\d+")
@@ -53,7 +56,9 @@ def open_grabber(
     source
         Path of a video, a folder of pictures or a picture; or a capture device by its identity, or by its node,
         ``v4l2:usb-534d:2109-A1``, with any of ``?size=640x480&encoding=YUYV&rate_hz=25&fields=alternate&buffers=8``
-        ``&newest=no``; or ``simulated``, or ``simulated:delta60`` for another steam generator, with any of
+        ``&newest=no``; as ``uvc:`` read over USB without the kernel's driver, or as ``opencv:`` through OpenCV, whose
+        own number will do too, both without buffers and newest; or ``simulated``, or ``simulated:delta60`` for another
+        steam generator, with any of
         ``?seed=0&size=640x480&rate_hz=25&bits=8&interlaced=no&look=nominal&loop_frames=48&pitch_px=40``.
     speed
         1.0 is the source's own pace; infinity is as fast as it is read. A device has its own.
@@ -72,13 +77,16 @@ def open_grabber(
         A value in the source's name is unknown or impossible.
     """
     kind, _, query = source.partition("?")
-    if kind.startswith("v4l2:") or NODE.fullmatch(kind):
-        return _device(source, kind.removeprefix("v4l2:"), query, field_mode=field_mode, clock=clock)
+    if NODE.fullmatch(kind):
+        return _device(source, "v4l2", kind, query, field_mode=field_mode, clock=clock)
+    scheme, _, device = kind.partition(":")
+    if scheme in _DEVICES:
+        return _device(source, scheme, device, query, field_mode=field_mode, clock=clock)
     if kind == "simulated" or kind.startswith("simulated:"):
         generator = kind.partition(":")[2] or USUAL_GENERATOR
         return _simulated(source, generator, query, speed=speed, field_mode=field_mode, clock=clock)
-    if (scheme := re.match(r"[a-z][a-z0-9+.-]+:", source)) and not Path(source).exists():
-        raise DeviceNotFoundError(source, f"{scheme[0]} is no kind of source; give {SOURCES}")
+    if (unknown := re.match(r"[a-z][a-z0-9+.-]+:", source)) and not Path(source).exists():
+        raise DeviceNotFoundError(source, f"{unknown[0]} is no kind of source; give {SOURCES}")
     return ReplayGrabber(
         source, speed=speed, loop=loop, rate_hz=rate_hz, field_mode=field_mode, top_first=top_first, clock=clock
     )
@@ -98,13 +106,16 @@ def _simulated(
     )
 
 
-def _device(source: str, device: str, query: str, *, field_mode: FieldMode, clock: Clock | None) -> V4l2Grabber:
-    if not re.fullmatch(r"(usb|path)-.+|/.+", device):
+def _device(
+    source: str, scheme: str, device: str, query: str, *, field_mode: FieldMode, clock: Clock | None
+) -> Grabber:
+    make, names, keys = _DEVICES[scheme]
+    if not re.fullmatch(names, device):
         raise ConfigError(f"{source}: no device has such a name; bowlsight devices lists those that are there")
     if NODE.fullmatch(device):
         log.warning("%s may be another device after a replug; bowlsight devices tells its lasting name", device)
-    values = {"field_mode": field_mode} | _values(source, query, _DEVICE)
-    return V4l2Grabber(device, name=source, clock=clock, **values)
+    values = {"field_mode": field_mode} | _values(source, query, {key: _DEVICE[key] for key in keys})
+    return make(device, name=source, clock=clock, **values)
 
 
 def _values(source: str, query: str, keys: Mapping[str, tuple[str, Callable[[str], Any]]]) -> dict[str, Any]:
@@ -194,3 +205,10 @@ _DEVICE: dict[str, tuple[str, Callable[[str], Any]]] = {
     "newest": ("newest", _yes_or_no),
 }
 """Keys of a capture device: the arguments of its grabber."""
+_ALWAYS = ("size", "encoding", "rate_hz", "fields")
+_DEVICES: dict[str, tuple[Callable[..., Grabber], str, tuple[str, ...]]] = {
+    "v4l2": (V4l2Grabber, r"(usb|path)-.+|/.+", (*_ALWAYS, "buffers", "newest")),
+    "uvc": (UvcGrabber, r"(usb|path)-.+", _ALWAYS),
+    "opencv": (OpenCvGrabber, r"(usb|path)-.+|/.+|\d{1,3}", _ALWAYS),
+}
+"""Ways to a capture device: grabber, names that it takes, keys."""

@@ -45,7 +45,7 @@ class OfferedFormat:
 
 @dataclass(frozen=True, slots=True)
 class VideoDevice:
-    """A video node that captures, or that may not be asked whether it does.
+    """A video device that captures, or that may not be asked whether it does.
 
     Attributes
     ----------
@@ -61,6 +61,8 @@ class VideoDevice:
         Processes that have it open.
     problem
         Why it cannot be opened, and what to do; None where it can.
+    scheme
+        How it is read: "v4l2" through the kernel's driver, "uvc" over USB without one.
     """
 
     node: str
@@ -71,11 +73,12 @@ class VideoDevice:
     formats: tuple[OfferedFormat, ...] = ()
     held_by: tuple[Holder, ...] = field(default=())
     problem: str | None = None
+    scheme: str = "v4l2"
 
     @property
     def source(self) -> str:
         """How `open_grabber` takes it."""
-        return f"v4l2:{self.identity}"
+        return f"{self.scheme}:{self.identity}"
 
 
 def video_devices(sysfs: Path = SYSFS, proc: Path = PROC, system: SystemCalls | None = None) -> list[VideoDevice]:

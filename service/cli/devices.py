@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict
 from typing import TYPE_CHECKING
 
-from drivers.discovery import serial_ports, video_devices
+from drivers.discovery import serial_ports, usb_grabbers, video_devices
 from drivers.grabber import SignalStatus
 
 if TYPE_CHECKING:
@@ -25,12 +25,14 @@ sources that can be opened, with the line for [source] in the station file
   a rendered tubesheet            device = "simulated"
   a video                         device = "PATH"    .mp4 .mkv .avi .nut ...
   a folder of pictures            device = "PATH"    .png .tif .bmp .jpg .pgm
+  a video device                  device = "v4l2:NAME" or, without a kernel driver, "uvc:NAME", as listed below
+  a camera through OpenCV         device = "opencv:NAME" or "opencv:0"    the fallback: no frame numbers
 """
 
 
 def run(args: argparse.Namespace) -> int:
     """List; returns the exit status."""
-    videos, ports = video_devices(), serial_ports()
+    videos, ports = [*video_devices(), *usb_grabbers()], serial_ports()
     if args.json:
         print(json.dumps(_as_json(videos, ports), indent=2))
         return 0

@@ -22,10 +22,13 @@ GRABBER = VideoDevice(
 )
 SHUT = VideoDevice("/dev/video2", "Other", "path-pci-1", problem="may not be opened by this user; ask somebody")
 
+BARE = VideoDevice("/dev/bus/usb/001/004", "Lab", "usb-1209:0001-SN1", "no kernel driver", scheme="uvc")
+
 
 @pytest.fixture
 def machine(monkeypatch):
     monkeypatch.setattr(devices, "video_devices", lambda: [GRABBER, SHUT])
+    monkeypatch.setattr(devices, "usb_grabbers", lambda: [BARE])
     monkeypatch.setattr(devices, "serial_ports", lambda: [Device("/dev/ttyUSB0", "FT232R", "/dev/serial/by-id/x")])
 
 
@@ -45,6 +48,8 @@ def test_it_lists_what_can_be_opened_with_the_line_to_paste(machine, capsys):
         "  /dev/video2  Other",
         '    device = "v4l2:path-pci-1"',
         "    may not be opened by this user; ask somebody",
+        "  /dev/bus/usb/001/004  Lab (no kernel driver)",
+        '    device = "uvc:usb-1209:0001-SN1"',
     ]
     assert "/dev/serial/by-id/x" in serial
 
@@ -53,7 +58,9 @@ def test_as_json_it_is_all_there_for_programs(machine, capsys):
     assert main(["devices", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["schema"] == 1
-    assert [v["device"] for v in told["video"]] == ["v4l2:usb-534d:2109-A1", "v4l2:path-pci-1"]
+    assert [v["device"] for v in told["video"]] == [
+        "v4l2:usb-534d:2109-A1", "v4l2:path-pci-1", "uvc:usb-1209:0001-SN1",
+    ]  # fmt: skip
     first = told["video"][0]
     assert first["inputs"][0] == {
         "name": "Composite", "kind": "analogue", "standards": ["pal"], "in_use": True, "signal": "no-signal",
@@ -66,6 +73,7 @@ def test_as_json_it_is_all_there_for_programs(machine, capsys):
 
 def test_a_machine_without_devices_says_so(monkeypatch, capsys):
     monkeypatch.setattr(devices, "video_devices", list)
+    monkeypatch.setattr(devices, "usb_grabbers", list)
     monkeypatch.setattr(devices, "serial_ports", list)
     assert main(["devices"]) == 0
     assert capsys.readouterr().out.count("  none\n") == 2

@@ -8,9 +8,11 @@ import pytest
 from drivers.errors import ConfigError, DeviceNotFoundError, UnsupportedFormatError
 from drivers.frame import PixelFormat
 from drivers.grabber import FieldMode, GrabberState
+from drivers.opencv import OpenCvGrabber
 from drivers.opening import open_grabber
 from drivers.replay import ReplayGrabber
 from drivers.simulated import SimulatedGrabber
+from drivers.uvc.grabber import UvcGrabber
 from drivers.v4l2.formats import Wish
 from drivers.v4l2.grabber import V4l2Grabber
 from tests.drivers.recorded import picture, write_folder, write_video
@@ -72,6 +74,24 @@ def test_a_capture_device_is_named_by_identity_or_node_with_its_values(source):
     assert open_grabber(source, field_mode=FieldMode.TOP).field_mode is FieldMode.TOP
 
 
+@pytest.mark.parametrize(
+    ("source", "kind"),
+    [
+        ("uvc:usb-1209:0001-SN1", UvcGrabber),
+        ("uvc:path-pci-0000:00:14.0-usb-0:2", UvcGrabber),
+        ("opencv:usb-534d:2109-A1", OpenCvGrabber),
+        ("opencv:/dev/video7", OpenCvGrabber),
+        ("opencv:0", OpenCvGrabber),
+    ],
+)
+def test_so_is_one_that_is_read_over_usb_or_through_opencv(source, kind):
+    grabber = open_grabber(f"{source}?size=720x576&encoding=MJPG&rate_hz=25&fields=alternate")
+    assert isinstance(grabber, kind)
+    assert grabber.state is GrabberState.CLOSED
+    assert grabber.field_mode is FieldMode.ALTERNATE
+    assert grabber._device == source.partition(":")[2]
+
+
 def test_a_node_is_taken_with_a_hint_at_a_name_that_lasts(caplog):
     open_grabber("v4l2:/dev/video3")
     open_grabber("v4l2:usb-1:2-3")
@@ -97,6 +117,10 @@ def test_the_usual_simulation_is_the_same_each_time():
         ("v4l2:usb-1:2-3?buffers=1", ConfigError, "a whole number from 2 to 32"),
         ("v4l2:usb-1:2-3?rate=25", ConfigError, "did you mean rate_hz"),
         ("/dev/video0?newest=maybe", ConfigError, "must be yes or no"),
+        ("uvc:/dev/video0", ConfigError, "no device has such a name"),
+        ("uvc:usb-1:2-3?buffers=4", ConfigError, "known: size, encoding, rate_hz, fields"),
+        ("opencv:webcam", ConfigError, "no device has such a name"),
+        ("opencv:0?newest=yes", ConfigError, "unknown key 'newest'"),
         ("webcam:/dev/video0", DeviceNotFoundError, "webcam: is no kind of source; give a video"),
         ("usb:1234:5678", DeviceNotFoundError, "usb: is no kind of source"),
         ("http://host/video.mp4", DeviceNotFoundError, "http: is no kind of source"),
