@@ -1,0 +1,111 @@
+// The alarm list: reason, value, limit, time, what to do; what came first; what nobody has seen yet flashes and sounds.
+
+import { ago, utc } from "./format.js";
+
+const $ = (id) => document.getElementById(id);
+const BEEP_MS = 1500;
+
+export class Alarms {
+  #beeping = null;
+  #shown = "";
+  sounds = false;
+
+  constructor(acknowledge) {
+    this.acknowledge = acknowledge;
+    $("ackall").onclick = () => acknowledge(null);
+  }
+
+  told(state, epochMs, mayControl) {
+    const fresh = state.alarms.filter((a) => !a.acknowledged);
+    $("alarmcount").textContent = state.alarms.length
+      ? `${state.alarms.length} alarm${state.alarms.length > 1 ? "s" : ""}, ${fresh.length} not acknowledged`
+      : "no alarms";
+    $("ackall").hidden = !fresh.length || !mayControl;
+    this.#first = fresh[0]?.key ?? null;
+    this.#beep(fresh.length > 0);
+    const now = JSON.stringify([state.alarms.map((a) => ({ ...a, age_s: Math.floor(a.age_s) })), state.first_out?.key]);
+    if (now === this.#shown) return;
+    this.#shown = now;
+    const focused = document.activeElement?.dataset?.key;
+    $("alarmlist").replaceChildren(...this.#rows(state, epochMs, mayControl));
+    if (focused) $("alarmlist").querySelector(`button[data-key="${CSS.escape(focused)}"]`)?.focus();
+  }
+
+  #first = null;
+
+  acknowledgeFirst() {
+    if (this.#first !== null) this.acknowledge(this.#first);
+  }
+
+  #rows(state, epochMs, mayControl) {
+    const first = state.first_out, kept = first && !state.alarms.some((a) => a.key === first.key);
+    const rows = state.alarms.map((a) => this.#row(a, a.key === first?.key, epochMs, mayControl));
+    if (kept) rows.unshift(this.#row({ ...first, active: false, acknowledged: true }, true, epochMs, false));
+    return rows;
+  }
+
+  #row(a, first, epochMs, mayControl) {
+    const row = document.createElement("li");
+    row.className = `${a.acknowledged ? "" : "new"} ${a.active ? "" : "gone"}`;
+    row.dataset.key = a.key;
+    const figure = a.value === null ? "" : ` ${a.value.toFixed(2)} ${a.unit}${a.limit === null ? "" : `, limit ${a.limit} ${a.unit}`}`;
+    row.innerHTML = '<svg><use href="#octagon"/></svg><div><div class="what"></div><div class="todo"></div><div class="when"></div></div>';
+    const what = row.querySelector(".what");
+    if (first) {
+      const mark = document.createElement("span");
+      mark.className = "first";
+      mark.textContent = "FIRST";
+      what.append(mark);
+    }
+    what.append(a.reason + (figure ? `:${figure}` : ""));
+    row.querySelector(".todo").textContent = `→ ${a.todo}`;
+    const seen = a.acknowledged ? "acknowledged" : "not acknowledged";
+    row.querySelector(".when").textContent =
+      `${utc(epochMs + a.raised_ms)} UTC, ${ago(a.age_s)} ago · ${a.active ? "still so" : "gone"} · ${seen}${a.times > 1 ? ` · ${a.times} times` : ""}`;
+    if (!a.acknowledged && mayControl) {
+      const button = document.createElement("button");
+      button.type = "button";
+      button.dataset.key = a.key;
+      button.innerHTML = "Ack <kbd>K</kbd>";
+      button.onclick = () => this.acknowledge(a.key);
+      row.append(button);
+    }
+    return row;
+  }
+
+  /** Switch the sound on or off; to be called by a key or click, without which browsers stay silent. */
+  toggleSound() {
+    this.sounds = !this.sounds;
+    if (this.sounds) {
+      this.audio ??= new AudioContext();
+      this.audio.resume();
+      this.#tone(660, 0.08);
+    }
+    return this.sounds;
+  }
+
+  #beep(wanted) {
+    const on = wanted && this.sounds;
+    if (on && this.#beeping === null) {
+      const once = () => {
+        this.#tone(880, 0.16);
+        this.#tone(620, 0.16, 0.2);
+      };
+      once();
+      this.#beeping = setInterval(once, BEEP_MS);
+    } else if (!on && this.#beeping !== null) {
+      clearInterval(this.#beeping);
+      this.#beeping = null;
+    }
+  }
+
+  #tone(hz, seconds, after = 0) {
+    const start = this.audio.currentTime + after, tone = this.audio.createOscillator(), loud = this.audio.createGain();
+    tone.frequency.value = hz;
+    loud.gain.setValueAtTime(0.25, start);
+    loud.gain.linearRampToValueAtTime(0, start + seconds);
+    tone.connect(loud).connect(this.audio.destination);
+    tone.start(start);
+    tone.stop(start + seconds);
+  }
+}

@@ -1,0 +1,103 @@
+"""A station for the operator's page without devices: what it is told to be, and what was asked of it."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+from service.alignment.interpreter import Interpreter
+from service.config.console import ConsoleSettings
+from service.config.generators import Naming
+from service.console.access import Access, Tokens
+from service.console.app import WebApp
+from service.console.board import Board
+from service.console.desk import AlarmDesk
+from service.console.operations import Operations
+from service.console.sink import ConsoleSink
+from service.console.state import StateTeller
+from service.console.trend import Trend
+from service.console.watched import About, RefusedError, SourceStatus
+from service.identity.counting import Growth, NamingRule
+from service.identity.namer import TubeNamer
+from service.identity.names import Leg
+from service.sinks.session.control import RecordingError, RecordingState
+from tests.fakes.clock import ManualClock
+from tests.fakes.drawn import LATTICE
+
+RULE = NamingRule(
+    Naming.ROW_COLUMN, LATTICE, rows_grow=Growth.UP, columns_grow=Growth.RIGHT, steam_generator="SG1", leg=Leg.HOT
+)
+
+
+class FakeWatched:
+    def __init__(self):
+        self.shown = SourceStatus("LIVE", capture_fps=30.0, inputs=("CH1", "CH2"), input="CH1")
+
+    def status(self):
+        return self.shown
+
+    def select_input(self, name):
+        if name == "CH2":
+            raise RefusedError("CH2: the device does not answer")
+        self.shown = SourceStatus("LIVE", inputs=self.shown.inputs, input=name)
+
+
+class FakeRecorder:
+    def __init__(self):
+        self.state = RecordingState()
+        self.asked = []
+
+    def start_recording(self):
+        self.state = RecordingState(folder=Path("/sessions/one"))
+        return self.state.folder
+
+    def stop_recording(self):
+        self.state = RecordingState()
+
+    def mark(self, text, operator=""):
+        return self._record("mark", text, operator)
+
+    def verify(self, claim, operator="", reason=None):
+        return self._record("verify", claim, operator, reason)
+
+    def _record(self, *what):
+        if self.state.folder is None:
+            raise RecordingError("nothing is being recorded; start recording first")
+        self.asked.append(what)
+        values = {"tube_claimed": what[1], "tube_seen": "ROW3 COL4", "agrees": what[1] == "ROW3 COL4", "secret": 1}
+        return SimpleNamespace(number=len(self.asked) - 1, sha256="0" * 64, values=values)
+
+
+class FakeStation:
+    """All of the console but the server; `app` is its ASGI application, `sink` takes frames."""
+
+    def __init__(self, *, kind="LIVE", tokens=None, aligner=None, recorder=True, rule=RULE, **settings):
+        self.clock, self.watched, self.told = ManualClock(), FakeWatched(), []
+        self.recorder = FakeRecorder() if recorder else None
+        self.interpreter = Interpreter(TubeNamer(rule), aligner)
+        self.settings = ConsoleSettings(port=8420, **settings)
+        self.latest = None
+        self.desk = AlarmDesk(lambda text, level: self.told.append(text))
+        self.operations = Operations(
+            self.interpreter, self.desk, self.watched, self.recorder, self.clock, lambda t, level: self.told.append(t)
+        )
+        self.board, self.trend = Board(), Trend()
+        about = About(kind, "camera 1", "Model F", rule, self.settings)
+        self.teller = StateTeller(
+            about, self.watched, self.operations, self.desk, self.trend, aligner, self.recorder, self.clock,
+            lambda: self.latest,
+        )  # fmt: skip
+        self.sink = ConsoleSink(
+            self.settings, rule, self.board, self.trend, self.operations, self.clock,
+            live=kind != "REPLAY", start=lambda: None, finish=lambda timeout_s: None,
+        )  # fmt: skip
+        self.access = Access(self.settings, 8420, tokens)
+        self.web = WebApp(self.access, self.board, self.teller, self.operations, self.clock, self.settings.clients)
+        self.app = self.web.asgi
+
+    def show(self, frame, result):
+        """Bring a frame to the pages, as the sink's thread would."""
+        self.latest = result
+        self.clock.advance(0.04)
+        return self.sink._do_consume(frame, (result,))
+
+
+TOKENS = Tokens("view-token", "control-token")
