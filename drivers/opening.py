@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import functools
 import logging
 import math
 import re
@@ -14,19 +15,21 @@ import numpy as np
 
 from drivers.errors import ConfigError, DeviceNotFoundError
 from drivers.grabber import Clock, FieldMode, Grabber
+from drivers.identity import SYSFS
 from drivers.opencv import OpenCvGrabber
 from drivers.replay import ReplayGrabber
 from drivers.scene import GENERATORS, LOOKS
 from drivers.simulated import SimulatedGrabber
 from drivers.simulation import default_scene
 from drivers.uvc.grabber import UvcGrabber
+from drivers.uvc.link import reset_usb_device
 from drivers.v4l2.encodings import ENCODINGS
 from drivers.v4l2.grabber import V4l2Grabber
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
 
-__all__ = ["open_grabber"]
+__all__ = ["bus_reset", "open_grabber"]
 
 log = logging.getLogger(__name__)
 
@@ -90,6 +93,18 @@ def open_grabber(
     return ReplayGrabber(
         source, speed=speed, loop=loop, rate_hz=rate_hz, field_mode=field_mode, top_first=top_first, clock=clock
     )
+
+
+def bus_reset(source: str, sysfs: Path = SYSFS) -> Callable[[], None] | None:
+    """Give what resets a source's device on its bus; None for what is no USB device known by its identity.
+
+    Whoever has it open loses it, as in a replug. What is given raises DeviceError where the device is not there, may
+    not be opened, or does not even answer to that.
+    """
+    scheme, _, device = source.partition("?")[0].partition(":")
+    if scheme not in _DEVICES or not (device.startswith("usb-") or "-usb-" in device):
+        return None
+    return functools.partial(reset_usb_device, device, source, sysfs)
 
 
 def _simulated(

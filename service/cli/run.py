@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from drivers.automatics import lock_automatics
 from drivers.grabber import Standard
-from drivers.opening import open_grabber
+from drivers.opening import bus_reset, open_grabber
 from drivers.replay import ReplayGrabber
 from drivers.scene import GENERATORS
 from drivers.simulated import SimulatedGrabber
@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
                 s.identity.rule(s.generator),
             ),
             health=s.health,
-            supervision=None if recorded else Supervision(s.supervision, remake=lambda: _grabber(s)),
+            supervision=None if recorded else _supervision(s),
         ),
         args,
     )
@@ -67,6 +67,11 @@ def _grabber(s: Station) -> Grabber:
     if device == "simulated" and s.generator.key in GENERATORS:
         device = f"simulated:{s.generator.key}"
     return open_grabber(device)
+
+
+def _supervision(s: Station) -> Supervision:
+    reset = bus_reset(s.source.device) if s.supervision.usb_reset else None
+    return Supervision(s.supervision, remake=lambda: _grabber(s), reset=reset)
 
 
 def _preparing(source: SourceSettings) -> Callable[[Grabber], None]:

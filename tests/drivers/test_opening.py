@@ -9,7 +9,7 @@ from drivers.errors import ConfigError, DeviceNotFoundError, UnsupportedFormatEr
 from drivers.frame import PixelFormat
 from drivers.grabber import FieldMode, GrabberState
 from drivers.opencv import OpenCvGrabber
-from drivers.opening import open_grabber
+from drivers.opening import bus_reset, open_grabber
 from drivers.replay import ReplayGrabber
 from drivers.simulated import SimulatedGrabber
 from drivers.uvc.grabber import UvcGrabber
@@ -144,6 +144,19 @@ def test_a_wrong_source_is_refused_in_one_line(source, error_type, words):
     assert str(error.value).startswith(source)
     assert words in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("scheme", ["v4l2", "uvc", "opencv"])
+def test_a_usb_device_can_be_reset_by_the_name_of_its_source(scheme, tmp_path):
+    for device in ("usb-1209:0001-SN1", "path-pci-0000:00:14.0-usb-0:2"):
+        reset = bus_reset(f"{scheme}:{device}?size=640x480", tmp_path)
+        with pytest.raises(DeviceNotFoundError, match=rf"^{scheme}:{device}\?size=640x480: is not there"):
+            reset()
+
+
+@pytest.mark.parametrize("source", ["simulated", "/dev/video0", "a.mkv", "v4l2:path-platform-vivid.0", "opencv:0"])
+def test_what_is_no_usb_device_cannot_be_reset(source):
+    assert bus_reset(source) is None
 
 
 @pytest.mark.parametrize(
