@@ -149,17 +149,20 @@ class PictureRecording(Recording):
         self.format = self._first_format(rate_hz)
 
     def _first_format(self, rate_hz: float) -> FrameFormat:
-        faults = []
+        faults: list[UnsupportedFormatError] = []
         for file in self._files:
             try:
                 pixels, _ = _read(file)
             except UnsupportedFormatError as error:
-                faults.append(str(error))
+                faults.append(error)
                 continue
             height, width = pixels.shape
             return FrameFormat(width, height, depth(pixels), file.suffix[1:].lower(), rate_hz)
-        among = f" (the first of {len(faults)} files, none of which can be read)" if len(faults) > 1 else ""
-        raise UnsupportedFormatError(self.name, f"{faults[0]}{among}")
+        if len(faults) == 1:
+            raise UnsupportedFormatError(self.name, faults[0].message)
+        raise UnsupportedFormatError(
+            self.name, f"{faults[0]} (the first of {len(faults)} files, none of which can be read)"
+        )
 
     def pictures(self) -> Generator[Picture]:
         """Decode one file after the other."""
@@ -175,5 +178,5 @@ def _read(file: Path) -> tuple[Pixels, str | None]:
     try:
         data = file.read_bytes()
     except OSError as error:
-        raise UnsupportedFormatError(file.name, f"cannot be read: {error.strerror}") from error
+        raise UnsupportedFormatError(file.name, f"cannot be read: {error.strerror}; check its rights") from error
     return decode_picture(data, file.name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from fractions import Fraction
 from typing import TYPE_CHECKING, Any
@@ -94,7 +95,7 @@ def render_video(scene: Scene, path: Path, frames: int, *, progress: Callable[[i
     Parameters
     ----------
     path
-        .mkv or .avi (FFV1) or .nut (ffvhuff). It appears when it is complete.
+        .mkv or .avi (FFV1) or .nut (ffvhuff). Video and truth appear when both are complete.
     progress
         Called with the frames done and the frames in all.
 
@@ -105,15 +106,19 @@ def render_video(scene: Scene, path: Path, frames: int, *, progress: Callable[[i
     """
     if path.suffix not in VIDEO_CODECS:
         raise ConfigError(f"{path}: unknown ending {path.suffix!r}; use {', '.join(VIDEO_CODECS)}")
-    truth_path, part = path.with_suffix(".json"), path.with_name(f".{path.name}.part")
+    truth_path = path.with_suffix(".json")
+    part, truth_part = (p.with_name(f".{p.name}.part") for p in (path, truth_path))
     try:
         _write_video(scene, part, *VIDEO_CODECS[path.suffix], frames, progress or (lambda _done, _total: None))
-        truth_path.write_text(json.dumps(scene_truth(scene, frames, name=path.stem, video=path.name)))
+        truth_part.write_text(json.dumps(scene_truth(scene, frames, name=path.stem, video=path.name)))
+        truth_part.replace(truth_path)
         part.replace(path)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another place") from error
     finally:
-        part.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # a folder that may not be looked into holds neither
+            part.unlink(missing_ok=True)
+            truth_part.unlink(missing_ok=True)
     return truth_path
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import av
 
 from drivers.decoding import Complaints, luma
-from drivers.errors import DeviceDisconnectedError, UnsupportedFormatError
+from drivers.errors import DeviceDisconnectedError, DevicePermissionError, UnsupportedFormatError
 from drivers.grabber import FrameFormat
 from drivers.recordings import Picture, Recording, blank, depth, fault_in
 
@@ -43,6 +43,8 @@ class VideoRecording(Recording):
 
     Raises
     ------
+    DevicePermissionError
+        This user may not read it.
     UnsupportedFormatError
         No picture of it can be decoded; the message says why.
     """
@@ -66,6 +68,8 @@ class VideoRecording(Recording):
         with Complaints() as complaints:
             try:
                 return av.open(f"file:{self._path}", metadata_errors="replace")  # a colon in its name is no protocol
+            except PermissionError as error:
+                raise DevicePermissionError(self.name, "may not be read by this user; check its rights") from error
             except av.FFmpegError as error:
                 why = "is no video that can be read; check that it is the right file"
                 if any("moov atom" in text for text in complaints.texts) and self._bytes(4, 4) == b"ftyp":

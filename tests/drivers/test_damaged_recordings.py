@@ -1,7 +1,9 @@
 """Recordings that are not sound: an error where nothing can be read, else a counted bad frame, never a silent one."""
 
+import errno
 import math
 import os
+from unittest.mock import Mock
 
 import av
 import cv2
@@ -12,6 +14,7 @@ from drivers.errors import (
     DeviceDisconnectedError,
     DeviceError,
     DeviceNotFoundError,
+    DevicePermissionError,
     EndOfRecordingError,
     UnsupportedFormatError,
 )
@@ -130,8 +133,23 @@ def test_a_file_without_rights_is_refused_by_name(tmp_path):
         pytest.skip("root may read everything")
     path = write_video(tmp_path / "a.mkv", [picture(0)])
     path.chmod(0)
-    with pytest.raises(DeviceError, match=r"a\.mkv"):
+    with pytest.raises(DeviceError, match=r"a\.mkv: .*rights"):
         grabber_of(path).open()
+
+
+def test_a_video_without_rights_is_not_called_the_wrong_file(tmp_path, monkeypatch):
+    path = write_video(tmp_path / "a.mkv", [picture(0)])
+    refused = av.error.PermissionError(errno.EACCES, "Permission denied", str(path))
+    monkeypatch.setattr("drivers.video.av.open", Mock(side_effect=refused))
+    with pytest.raises(DevicePermissionError, match=r"a\.mkv: may not be read by this user"):
+        grabber_of(path).open()
+
+
+def test_a_single_bad_picture_is_named_once(unreadable):
+    path, error_type, _ = unreadable["text called png"]
+    with pytest.raises(error_type) as error:
+        grabber_of(path).open()
+    assert str(error.value).count(path.name) == 1
 
 
 # -- it breaks off -----------------------------------------------------------------------------------------------------

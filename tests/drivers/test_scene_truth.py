@@ -1,8 +1,10 @@
 """The rendered scene is where its truth says, to a few thousandths of a pixel."""
 
+import errno
 import json
 import math
 from dataclasses import replace
+from unittest.mock import Mock
 
 import cv2
 import numpy as np
@@ -336,6 +338,18 @@ def test_a_video_that_cannot_be_written_is_refused_in_a_line(tmp_path, name, wor
     assert words in str(error.value)
     assert "\n" not in str(error.value)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("fails", ["_write_video", "scene_truth"])
+def test_a_rendering_that_finds_no_room_leaves_the_one_before_as_it_was(tmp_path, monkeypatch, fails):
+    scene = default_scene(GENERATORS["system80"], np.random.default_rng(5), size_px=(64, 48), frames=2)
+    render_video(scene, tmp_path / "a.mkv", 2)
+    before = {p.name: p.read_bytes() for p in tmp_path.iterdir()}
+    monkeypatch.setattr(f"drivers.simulated_video.{fails}", Mock(side_effect=OSError(errno.ENOSPC, "No space left")))
+    with pytest.raises(ConfigError, match=r"a\.mkv: cannot be written: No space left"):
+        render_video(scene, tmp_path / "a.mkv", 2)
+    assert {p.name: p.read_bytes() for p in tmp_path.iterdir()} == before
+    assert set(before) == {"a.mkv", "a.json"}
 
 
 def test_an_interrupted_rendering_leaves_nothing_behind(tmp_path):
