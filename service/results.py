@@ -13,6 +13,7 @@ from service.vision.measurement import Lock, Measurement, Origin, Pose, TubeStat
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from service.alignment.priors import Priors
     from service.alignment.result import Alignment
 
 __all__ = ["SCHEMA", "FrameResult"]
@@ -36,6 +37,8 @@ class FrameResult:
         One name, or None, a tube; empty where no anchor names them.
     alignment
         How the guide stands to its tube; None where none is set up.
+    instruments
+        What lens and range finder say; None where there is neither.
     """
 
     source: str
@@ -45,6 +48,7 @@ class FrameResult:
     measurement: Measurement
     names: Sequence[str | None] = ()
     alignment: Alignment | None = None
+    instruments: Priors | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The line as JSON's own types; see `docs/formats.md`."""
@@ -61,6 +65,7 @@ class FrameResult:
             "tubes": self._tubes(),
             "pose": None if m.pose is None or m.lock is Lock.NONE else _pose(m.pose),
             "alignment": None if self.alignment is None else self.alignment.to_dict(),
+            **({} if self.instruments is None else {"instruments": self.instruments.to_dict()}),
             "elapsed_ms": {k: round(v, 3) for k, v in m.elapsed_ms.items()},
         }
 

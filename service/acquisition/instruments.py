@@ -97,11 +97,15 @@ class Instruments:
         for poller in self._pollers:
             poller.start()
 
+    def request_stop(self) -> None:
+        """Ask all to end; returns at once."""
+        for poller in self._pollers:
+            poller.request_stop()
+
     def stop(self, timeout_s: float = STOP_S) -> None:
         """Stop asking and let the devices go. May be repeated."""
         deadline = time.monotonic() + timeout_s
-        for poller in self._pollers:
-            poller.request_stop()
+        self.request_stop()
         self.stuck = [poller.name for poller in self._pollers if not poller.join(deadline - time.monotonic())]
 
     def __enter__(self) -> Self:

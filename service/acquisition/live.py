@@ -25,8 +25,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
     from types import TracebackType
 
-    from drivers.frame import Field
+    from drivers.frame import Field, Frame
     from drivers.grabber import FrameFormat, Grabber
+    from service.acquisition.cross_check import CrossCheck
     from service.acquisition.measuring import Measurer
     from service.acquisition.recovery import Supervision
     from service.acquisition.slot import HandOver
@@ -67,6 +68,8 @@ class LiveService:
         Do not measure frames older than this; None: however old.
     interpreter
         Names the tubes and judges the alignment; None where neither is set up.
+    check
+        Holds results against lens and range finder; None where there is neither.
     kind
         What the source is when nothing is wrong with it: LIVE, REPLAY or SIMULATED.
     supervision
@@ -86,12 +89,13 @@ class LiveService:
         field: Field | None = None,
         oldest_s: float | None = None,
         interpreter: Interpreter | None = None,
+        check: CrossCheck | None = None,
         kind: Liveness = Liveness.LIVE,
         supervision: Supervision | None = None,
         tell: Callable[[str, str], None] | None = None,
     ) -> None:
         self._grabber, self._measurer_for, self._sinks = grabber, measurer_for, tuple(sinks)
-        self._interpreter = interpreter
+        self._interpreter, self._check = interpreter, check
         self._clock, self._field, self._oldest_s = grabber.clock, field, oldest_s
         self._ledger = Ledger()
         self._hand_over: HandOver = FrameQueue(ORDERED_CAPACITY) if every_frame else NewestSlot()
@@ -136,7 +140,12 @@ class LiveService:
         try:
             picture_format = self._acquisition.open(OPEN_TIMEOUT_S)
             vision = self._measurer_for(picture_format)
-            measurer = FrameMeasurer(vision, self._field, self._clock, self._interpreter)
+
+            def remake(frame: Frame) -> Measurer:
+                width_px, height_px = frame.size_px
+                return self._measurer_for(replace(picture_format, width_px=width_px, height_px=height_px))
+
+            measurer = FrameMeasurer(vision, self._field, self._clock, self._interpreter, self._check, remake)
             for sink in self._sinks:
                 self._started_sinks.append(sink)
                 sink.start()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from drivers.errors import ConfigError
 from drivers.frame import Field
 from service.acquisition.ledger import Outcome
 from service.acquisition.repeated import RepeatedLog
@@ -15,12 +16,13 @@ from service.results import FrameResult
 from service.vision.measurement import Lock, Measurement, Tubes
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from numpy.typing import NDArray
 
     from drivers.frame import Frame, Pixels
     from drivers.grabber import Clock
+    from service.acquisition.cross_check import CrossCheck
     from service.alignment.interpreter import Interpreter
 
 __all__ = ["FrameMeasurer", "Measurer"]
@@ -55,12 +57,26 @@ class FrameMeasurer:
         Times the rate of repeated warnings.
     interpreter
         Names the tubes and judges the alignment; None where neither is set up.
+    check
+        Holds measurements against lens and range finder; None where there is neither.
+    remake
+        Makes vision anew for sound frames of another size; raises ConfigError where they cannot be measured. None: they
+        go to the same.
     """
 
     def __init__(
-        self, measurer: Measurer, field: Field | None, clock: Clock, interpreter: Interpreter | None = None
+        self,
+        measurer: Measurer,
+        field: Field | None,
+        clock: Clock,
+        interpreter: Interpreter | None = None,
+        check: CrossCheck | None = None,
+        remake: Callable[[Frame], Measurer] | None = None,
     ) -> None:
         self._measurer, self._field, self._interpreter = measurer, field, interpreter
+        self._check, self._remake = check, remake
+        self._size_px: dict[Field, tuple[int, int]] = {}
+        self._why_not: str | None = None
         self._before: Pixels | None = None
         self._log = RepeatedLog(log, clock)
         self._generation: int | None = None
@@ -71,25 +87,42 @@ class FrameMeasurer:
         if frame.generation != self._generation:
             self._measurer.reset()
             self._generation = frame.generation
-        outcome = Outcome.PROCESSED
-        measurements: Sequence[Measurement]
-        if frame.defect is not None:
-            measurements = [_nothing(frame, f"bad frame: {frame.defect}")]
-        else:
-            try:
-                measurements = self._measurer.measure(frame.pixels, frame.timestamp_ns, self._field_of(frame))
-            except Exception as error:  # noqa: BLE001 - a mistake in measuring one frame must not end the watch
-                said = f"{type(error).__name__}: {error}"
-                self._log.warning(
-                    "measure", f"{frame.source}: frame {frame.sequence} could not be measured: {said}", error
-                )
-                measurements, outcome = [_nothing(frame, f"measuring failed: {said}")], Outcome.FAILED
+        measurements, outcome = self._measure(frame)
         sequence = self._index if frame.sequence is None else frame.sequence
         self._index = sequence + 1
-        results = [FrameResult(frame.source, sequence, frame.timestamp_ns, frame.generation, m) for m in measurements]
+        results = []
+        for m in measurements:
+            measurement, priors = (m, None) if self._check is None else self._check.apply(m)
+            result = FrameResult(frame.source, sequence, frame.timestamp_ns, frame.generation, measurement)
+            results.append(result if priors is None else replace(result, instruments=priors))
         if self._interpreter is not None and not self._interpret(frame, results, self._interpreter):
             outcome = Outcome.FAILED
         return tuple(results), outcome
+
+    def _measure(self, frame: Frame) -> tuple[Sequence[Measurement], Outcome]:
+        if frame.defect is not None:
+            return [_nothing(frame, f"bad frame: {frame.defect}")], Outcome.PROCESSED
+        try:
+            self._fit(frame)
+            if self._why_not is not None:
+                return [_nothing(frame, self._why_not)], Outcome.PROCESSED
+            return self._measurer.measure(frame.pixels, frame.timestamp_ns, self._field_of(frame)), Outcome.PROCESSED
+        except Exception as error:  # noqa: BLE001 - a mistake in measuring one frame must not end the watch
+            said = f"{type(error).__name__}: {error}"
+            self._log.warning("measure", f"{frame.source}: frame {frame.sequence} could not be measured: {said}", error)
+            return [_nothing(frame, f"measuring failed: {said}")], Outcome.FAILED
+
+    def _fit(self, frame: Frame) -> None:
+        """Have vision made anew where the frames are of another size than before."""
+        before = self._size_px.get(frame.field)
+        self._size_px[frame.field] = frame.size_px
+        if self._remake is None or before in (None, frame.size_px):
+            return
+        try:
+            self._measurer, self._why_not = self._remake(frame), None
+        except ConfigError as error:
+            self._why_not = str(error)
+            log.warning("%s; nothing is measured until then", error)
 
     def _interpret(self, frame: Frame, results: list[FrameResult], interpreter: Interpreter) -> bool:
         """Put names and alignment into the results; False where that failed, and they stay without."""

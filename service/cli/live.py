@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from service.acquisition.cross_check import CrossCheck
 from service.acquisition.live import STOP_S, LiveService
 from service.cli.inputs import fitting_camera
 from service.cli.keys import pressed_keys
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from drivers.grabber import FrameFormat, Grabber
+    from service.acquisition.instruments import Instruments
     from service.acquisition.liveness import Liveness
     from service.acquisition.recovery import Supervision
     from service.alignment.interpreter import Interpreter
@@ -64,6 +67,8 @@ class LiveRun:
         What else gets the results.
     health
         Who is told how the service does.
+    instruments
+        Lens and range finder; None where there is neither.
     """
 
     kind: Liveness
@@ -79,6 +84,7 @@ class LiveRun:
     recording: RecordingChoice | None = None
     sinks: Sequence[Sink] = ()
     health: HealthSettings = field(default_factory=HealthSettings)
+    instruments: Instruments | None = None
 
 
 def watch(live: LiveRun, args: argparse.Namespace) -> int:
@@ -111,6 +117,7 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         field=live.measuring.field_order.field,
         oldest_s=None if live.every_frame else live.measuring.oldest_frame_ms / 1e3,
         interpreter=live.interpreter,
+        check=None if live.instruments is None else CrossCheck(live.instruments.readings, tell),
         kind=live.kind,
         supervision=live.supervision,
         tell=tell,
@@ -119,7 +126,7 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         recorder.listen(service.subscribe(FRAMES_CAPACITY, waits=live.every_frame))
     settings = live.health if args.metrics is None else replace(live.health, metrics_port=args.metrics)
     reporting = Reporting(live.grabber.name, viewing.state, settings, live.grabber.clock)
-    with service:
+    with service, live.instruments or contextlib.nullcontext():
         service.open()
         prepare_kernels()
         viewing.announce()
@@ -128,7 +135,10 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
             service.begin()
             ended_by = _follow(service, reporting, recorder, args.seconds or math.inf)
         tell(ended_by, "INFO" if service.failure is None else "ERROR")
+        if live.instruments is not None:
+            live.instruments.request_stop()
         service.stop(FLUSH_S if ended_by == "ended" else STOP_S)
+    service.stuck.extend(live.instruments.stuck if live.instruments else ())
     return _conclude(service, recorder, ended_by, time.monotonic() - began_s)
 
 

@@ -11,6 +11,7 @@ from drivers.opening import bus_reset, open_grabber
 from drivers.replay import ReplayGrabber
 from drivers.scene import GENERATORS
 from drivers.simulated import SimulatedGrabber
+from service.acquisition.instruments import Instruments
 from service.acquisition.liveness import Liveness
 from service.acquisition.recovery import Supervision
 from service.cli.inputs import station, station_file
@@ -56,6 +57,7 @@ def run(args: argparse.Namespace) -> int:
                 s.identity.rule(s.generator),
             ),
             health=s.health,
+            instruments=None if s.lens is None and s.range_finder is None else Instruments(s.lens, s.range_finder),
             supervision=None if recorded else _supervision(s),
         ),
         args,

@@ -1,3 +1,6 @@
+import pytest
+
+from drivers.errors import ConfigError
 from drivers.frame import Field
 from service.acquisition.ledger import Outcome
 from service.acquisition.measuring import FrameMeasurer
@@ -86,3 +89,26 @@ def test_a_mistake_in_judging_leaves_the_measurement_and_is_counted(caplog):
     assert (result.measurement.lock, list(result.names), result.alignment) == ("full", [], None)
     assert outcome is Outcome.FAILED
     assert "could not be judged: ValueError: oh" in caplog.text
+
+
+def test_frames_of_another_size_are_measured_anew_or_it_is_said_why_not():
+    made = []
+
+    def remake(frame):
+        if frame.size_px[0] > 100:
+            raise ConfigError(f"fake: its pictures are {frame.size_px[0]} px wide, but camera 'mine' has 64")
+        made.append(frame.size_px)
+        return FakeMeasurer()
+
+    frames = FrameMeasurer(FakeMeasurer(), None, ManualClock(), remake=remake)
+    sizes = [(64, 48), (64, 48), (32, 24), (720, 576), (720, 576), (64, 48)]
+    reasons = [frames.answer(make_frame(i, size=size))[0][0].measurement.reason for i, size in enumerate(sizes)]
+    assert made == [(32, 24), (64, 48)]
+    assert reasons[3] == reasons[4] == "fake: its pictures are 720 px wide, but camera 'mine' has 64"
+    assert reasons[5] == "nothing there"
+
+
+def test_bad_frames_of_another_size_change_nothing():
+    frames = FrameMeasurer(FakeMeasurer(), None, ManualClock(), remake=lambda _: pytest.fail("made anew"))
+    for i in range(6):
+        frames.answer(make_frame(i, size=(32, 24), defect="half the size") if i % 2 else make_frame(i))
