@@ -24,14 +24,17 @@ if TYPE_CHECKING:
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["NEAR", "WIDE", "PlaceMap", "Verdict"]
+__all__ = ["PlaceMap", "Verdict"]
 
 REACH = 160
 """Rows and columns either way of the origin that the map holds: more than any tubesheet has."""
-NEAR, WIDE = 2, 8
-"""Shifts, in rows and columns, that are compared on every picture, and where the index is in doubt."""
+WINDOW = 8
+"""Largest shift, in rows and columns, that is compared."""
 DECISIVE = 20.0
 """By how much, in natural logarithms, the best shift must beat the second: one in 5e8, with room for what is shared."""
+CONTRADICTION = -0.2
+"""A picture that fits the map so much worse than no map at all, in natural logarithms a tube, speaks against its index:
+the right one gives 0 to 1, a wrong one about -0.5."""
 STATE_LOG_ODDS = 3.0
 """What one place of a known state that agrees, or disagrees, counts for."""
 LEAST_COMMON = 12
@@ -50,11 +53,14 @@ class Verdict:
         The shift that fits best: the picture's place (r, c) is the map's (r + row, c + column).
     margin
         By how much it beats the second best, natural logarithm.
+    fit
+        By how much it beats a map that says nothing.
     """
 
     row: int
     column: int
     margin: float
+    fit: float
 
     @property
     def slipped(self) -> bool:
@@ -64,7 +70,7 @@ class Verdict:
     @property
     def decisive(self) -> bool:
         """Whether the best shift is beyond doubt."""
-        return self.margin > DECISIVE
+        return self.margin > DECISIVE and (self.fit > 0.0 or not self.slipped)
 
 
 class PlaceMap:
@@ -85,21 +91,30 @@ class PlaceMap:
             self._weight, self._state,
         )  # fmt: skip
 
-    def compare(self, refined: Refined, window: int) -> Verdict | None:
-        """Find the shift, up to `window`, that fits best; None where picture and map share too little."""
+    def contradicts(self, refined: Refined) -> bool:
+        """Whether what a picture shows is not what its index says should be there."""
+        score, common = self._scores(refined, 0)
+        return bool(common[0, 0] >= LEAST_COMMON and score[0, 0] < CONTRADICTION * common[0, 0])
+
+    def compare(self, refined: Refined) -> Verdict | None:
+        """Find the shift, up to `WINDOW`, that fits best; None where picture and map share too little."""
+        score, common = (a.ravel() for a in self._scores(refined, WINDOW))
+        best, second = np.argsort(-score, kind="stable")[:2]
+        if common[best] < LEAST_COMMON:
+            return None
+        row, column = divmod(int(best), 2 * WINDOW + 1)
+        return Verdict(row - WINDOW, column - WINDOW, float(score[best] - score[second]), float(score[best]))
+
+    def _scores(self, refined: Refined, window: int) -> tuple[Array, NDArray[np.int64]]:
+        """Log-likelihood ratio of every shift up to `window`, and the tubes it rests on."""
         off, variance = _offsets(refined)
         side = 2 * window + 1
         score, common = np.zeros((side, side)), np.zeros((side, side), np.int64)
-        scatter2 = self._lattice.scatter_mm**2
         _compare(
             refined.sites.row, refined.sites.column, refined.used, off, variance, refined.state, self._off,
-            self._weight, self._state, scatter2, score, common,
+            self._weight, self._state, self._lattice.scatter_mm**2, score, common,
         )  # fmt: skip
-        best, second = np.argsort(-score.ravel(), kind="stable")[:2]
-        if common.ravel()[best] < LEAST_COMMON:
-            return None
-        margin = float(score.ravel()[best] - score.ravel()[second])
-        return Verdict(int(best // side) - window, int(best % side) - window, margin)
+        return score, common
 
 
 def _offsets(refined: Refined) -> tuple[Array, Array]:
@@ -154,7 +169,7 @@ def _compare(
                     continue
                 known = map_state[r, c]
                 seen = known[TubeState.OPEN] + known[TubeState.PLUGGED] + known[TubeState.ABSENT]
-                if seen < 2.0:
+                if seen < 1.0:
                     continue
                 if state[i] != TubeState.UNKNOWN:
                     share = known[state[i]] / seen

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.acquire import candidates
-from service.vision.evidence import NEAR, WIDE, PlaceMap
+from service.vision.evidence import PlaceMap
 from service.vision.lock import LEAST_TUBES, MOST_STRAY, Proof, prove
 from service.vision.motion import Motion, aligned, centred, looked_at
 from service.vision.pose import prior_of
@@ -48,12 +48,8 @@ SAFE_GAP = 0.2
 """Pitches off the expected place from which a neighbouring tube may be meant."""
 UNSEEN_S = 0.1
 """Time without a pose beyond which the sheet's travel counts."""
-SUSPICIOUS = 5.0
-"""Margin (natural logarithm) from which a better fit elsewhere puts the index in doubt."""
 AFRESH = 5
 """So many pictures in which what changes slowly is found anew once; odd, so that both fields have their turn."""
-CHECK_EVERY = 3
-"""So many pictures in which the index is compared with the map once."""
 SMOOTH = 0.2
 """How fast the running figures follow a new picture."""
 
@@ -143,20 +139,16 @@ class Tracker:
         return unseen_s > UNSEEN_S and self.motion.travelled_mm(unseen_s) > SAFE_GAP * self.lattice.pitch_mm
 
     def _settled(self, refined: Refined) -> Refined:
-        """Compare a picture with the map of what it shows: a slip is mended where that is beyond doubt."""
+        """Hold a picture against the map of what it should show: a slip is mended where that is beyond doubt."""
         self._pictures += 1
-        if not self._doubt and self._pictures % CHECK_EVERY:
-            self._map.learn(refined)
-            return refined
-        verdict = self._map.compare(refined, WIDE if self._doubt else NEAR)
+        self._doubt = self._doubt or self._map.contradicts(refined)
+        verdict = self._map.compare(refined) if self._doubt else None
         if verdict is not None and verdict.decisive:
             self._doubt = False
             if verdict.slipped:
                 refined = refined.shifted(verdict.row, verdict.column, self.lattice)
                 step = self.lattice.sheet_points(np.array([verdict.row]), np.array([verdict.column]))[0]
                 self.motion = None if self.motion is None else self.motion.relabelled(step)
-        elif verdict is not None and verdict.slipped and verdict.margin > SUSPICIOUS:
-            self._doubt = True
         if not self._doubt:
             self._map.learn(refined)
         return refined

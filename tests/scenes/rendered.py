@@ -11,7 +11,7 @@ from drivers.rendering import Renderer, add_noise, quantised
 from drivers.scene import ABSENT, CLEAN, GENERATORS, OPEN, PLUGGED, Look, Sheet, TubeLattice, make_sheet
 from service.vision.camera import Camera, OpenCVLens, TsaiLens
 from service.vision.lattice import Arrangement, Lattice
-from service.vision.measurement import Measurement, Origin, TubeState
+from service.vision.measurement import Doubt, Measurement, Origin, TubeState
 from service.vision.process import Measurer
 from service.vision.projection import undistort
 
@@ -256,3 +256,29 @@ def woven(views: list[View], *, bottom_first=False) -> list[np.ndarray]:
         frame[late::2] = second.image[late::2]
         frames.append(frame)
     return frames
+
+
+def follow(views: list[View], measurer: Measurer | None = None, *, times_ns=None) -> list[Measurement]:
+    """Measure pictures one after the other."""
+    measurer = measurer or measurer_of(views[0].camera, views[0].lattice)
+    times_ns = times_ns or [k * PERIOD_NS for k in range(len(views))]
+    return [
+        measurer.measure(seen.image, time_ns, "progressive")[0] for seen, time_ns in zip(views, times_ns, strict=True)
+    ]
+
+
+def drift_pitches(views: list[View], answers: list[Measurement]) -> np.ndarray:
+    """How far the told lattice has moved on the true one since the first answer, (n,) pitches; NaN without a pose.
+
+    A fraction is error of measurement, a whole pitch is a slip of the index.
+    """
+    origin = np.full((len(views), 2), np.nan)
+    for k, (seen, m) in enumerate(zip(views, answers, strict=True)):
+        if m.pose is not None:
+            origin[k] = (seen.rotation.T @ (m.pose.translation_mm - seen.translation_mm))[:2]
+    return np.linalg.norm(origin - origin[0], axis=1) / views[0].sheet.lattice.pitch_mm
+
+
+def in_doubt(answers: list[Measurement]) -> np.ndarray:
+    """Whether each answer says that its index may have slipped, (n,)."""
+    return np.array([Doubt.INDEX in m.doubt for m in answers])
