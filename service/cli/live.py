@@ -11,14 +11,19 @@ from typing import TYPE_CHECKING
 
 from service.acquisition.cross_check import CrossCheck
 from service.acquisition.live import STOP_S, LiveService
+from service.alignment.interpreter import Interpreter
 from service.cli.inputs import fitting_camera
 from service.cli.keys import pressed_keys
 from service.cli.recording import KEYS, make_recorder, on_key, recorded_lines
 from service.cli.reporting import Reporting
+from service.cli.serving import Served, make_console
 from service.cli.status import status_parts, summary_lines
 from service.cli.terminal import Interrupted, StatusLine, say
 from service.cli.viewing import make_viewing, viewer_watch
+from service.config.alignment import IdentitySettings
+from service.config.console import ConsoleSettings
 from service.config.supervision import HealthSettings
+from service.identity.namer import TubeNamer
 from service.sinks.session.recorder import FRAMES_CAPACITY
 from service.vision.process import Measurer, warm_up
 
@@ -30,10 +35,10 @@ if TYPE_CHECKING:
     from service.acquisition.instruments import Instruments
     from service.acquisition.liveness import Liveness
     from service.acquisition.recovery import Supervision
-    from service.alignment.interpreter import Interpreter
     from service.cli.recording import RecordingChoice
     from service.config.generators import SteamGenerator
     from service.config.station import MeasuringSettings, ViewerSettings
+    from service.identity.counting import NamingRule
     from service.sinks.base import Sink
     from service.sinks.session.recorder import SessionRecorder
     from service.vision.camera import Camera
@@ -67,6 +72,8 @@ class LiveRun:
         What else gets the results.
     health
         Who is told how the service does.
+    console
+        The operator's page.
     instruments
         Lens and range finder; None where there is neither.
     """
@@ -84,6 +91,7 @@ class LiveRun:
     recording: RecordingChoice | None = None
     sinks: Sequence[Sink] = ()
     health: HealthSettings = field(default_factory=HealthSettings)
+    console: ConsoleSettings = field(default_factory=ConsoleSettings)
     instruments: Instruments | None = None
 
 
@@ -95,7 +103,9 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         return Measurer(camera, live.generator.lattice, time.perf_counter_ns)
 
     viewing = make_viewing(args, live.viewer, live.generator, live.kind, live.grabber.name)
-    recorder = _recorder(live, args)
+    recorder, served = _recorder(live, args), Served()
+    interpreter = live.interpreter or Interpreter(TubeNamer(_rule(live)), None)
+    console = make_console(args, live, interpreter, viewing, recorder, served)
 
     def prepare(grabber: Grabber) -> None:
         if live.prepare is not None:
@@ -111,12 +121,12 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
     service = LiveService(
         live.grabber,
         measurer_for,
-        [*viewing.sinks, *live.sinks, *([recorder] if recorder else [])],
+        [*viewing.sinks, *live.sinks, *([recorder] if recorder else []), *([console.sink] if console else [])],
         prepare=prepare,
         every_frame=live.every_frame,
         field=live.measuring.field_order.field,
         oldest_s=None if live.every_frame else live.measuring.oldest_frame_ms / 1e3,
-        interpreter=live.interpreter,
+        interpreter=interpreter,
         check=None if live.instruments is None else CrossCheck(live.instruments.readings, tell),
         kind=live.kind,
         supervision=live.supervision,
@@ -130,6 +140,9 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         service.open()
         prepare_kernels()
         viewing.announce()
+        served.attach(service)
+        if console is not None:
+            console.announce()
         began_s = time.monotonic()
         with reporting.running(service.health):
             service.begin()
@@ -140,6 +153,10 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         service.stop(FLUSH_S if ended_by == "ended" else STOP_S)
     service.stuck.extend(live.instruments.stuck if live.instruments else ())
     return _conclude(service, recorder, ended_by, time.monotonic() - began_s)
+
+
+def _rule(live: LiveRun) -> NamingRule:
+    return IdentitySettings().rule(live.generator) if live.recording is None else live.recording.rule
 
 
 def _recorder(live: LiveRun, args: argparse.Namespace) -> SessionRecorder | None:

@@ -169,6 +169,8 @@ def _field_order(p: _Parser) -> None:
 
 
 def _viewer(p: _Parser) -> None:
+    p.add_argument("--no-console", action="store_true", help="serve no operator's page")
+    p.add_argument("--console-port", metavar="N", type=_whole(1, 65535), help="the operator's page's; default: 8420")
     p.add_argument("--no-viewer", action="store_true", help="serve no viewer")
     p.add_argument("--open", action="store_true", help="open the viewer in a browser")
     p.add_argument("--port", metavar="N", type=_whole(1, 65535), help="the viewer's data port; default: a free one")

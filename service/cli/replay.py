@@ -56,6 +56,7 @@ def _live(
         measuring=replace(s.measuring, field_order=order),
         viewer=s.viewer,
         health=s.health,
+        console=s.console,
         every_frame=every_frame,
         interpreter=interpreter_for(args, s.identity, s.alignment, generator),
         recording=RecordingChoice(

@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
             camera=camera,
             measuring=s.measuring,
             viewer=s.viewer,
+            console=s.console,
             prepare=_preparing(s.source),
             interpreter=interpreter_for(args, s.identity, s.alignment, s.generator),
             recording=RecordingChoice(

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from drivers.grabber import Clock
     from service.alignment.interpreter import Interpreter
-    from service.console.watched import About, Watched
+    from service.console.watched import About, Tell, Watched
     from service.results import FrameResult
     from service.sinks.session.control import SessionControl
 
@@ -44,7 +44,7 @@ class Console:
     latest
         Gives the last result; None before there is one.
     tell
-        Told of alarms and of what operators do, with a level (INFO, WARN).
+        Told of alarms and of what operators do.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class Console:
         recorder: SessionControl | None,
         clock: Clock,
         latest: Callable[[], FrameResult | None],
-        tell: Callable[[str, str], None],
+        tell: Tell,
     ) -> None:
         settings = about.settings
         self._settings, self._clock = settings, clock
@@ -91,8 +91,11 @@ class Console:
         if self._server is not None:
             self._server.close(timeout_s)
 
-    def addresses(self) -> list[str]:
-        """Where the page is, for the terminal; with tokens, which are shown nowhere else."""
+    def announce(self) -> None:
+        """Say where the page is, once it is served; with tokens, which are shown nowhere else."""
+        print("\n".join(self._addresses()), flush=True)
+
+    def _addresses(self) -> list[str]:
         host = self._settings.address
         where = f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
         if self.tokens is None:

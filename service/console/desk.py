@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 from service.alignment.alarms import AlarmList, Condition, acknowledge, step
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Sequence
 
     from service.alignment.alarms import Alarm
-    from service.console.watched import SourceStatus
+    from service.console.watched import SourceStatus, Tell
 
 __all__ = ["AlarmDesk", "alarm_dict", "source_conditions"]
 
@@ -39,10 +39,10 @@ class AlarmDesk:
     Parameters
     ----------
     tell
-        Told, with a level (INFO, WARN), of every alarm that is raised, clears or is acknowledged.
+        Told of every alarm that is raised, clears or is acknowledged.
     """
 
-    def __init__(self, tell: Callable[[str, str], None] = lambda _text, _level: None) -> None:
+    def __init__(self, tell: Tell) -> None:
         self._lock = threading.Lock()
         self._list = AlarmList()
         self._tell = tell
@@ -60,11 +60,11 @@ class AlarmDesk:
         for alarm in after:
             old = before.alarms.get(alarm.condition.key)
             if alarm.active and (old is None or not old.active):
-                self._tell(f"alarm: {alarm.condition.reason}", "WARN")
+                self._say("alarm", alarm, "raised", "WARN")
         for old in before:
             new = after.alarms.get(old.condition.key)
             if old.active and (new is None or not new.active):
-                self._tell(f"alarm over: {old.condition.reason}", "INFO")
+                self._say("alarm over", old, "cleared", "INFO")
         return after
 
     def acknowledge(self, now_ns: int, key: str | None, operator: str) -> bool:
@@ -74,8 +74,13 @@ class AlarmDesk:
             self._list = acknowledge(self._list, now_ns, key)
         by = f" by {operator}" if operator else ""
         for alarm in seen:
-            self._tell(f"alarm acknowledged{by}: {alarm.condition.reason}", "INFO")
+            self._say(f"alarm acknowledged{by}", alarm, "acknowledged", "INFO", operator=operator)
         return bool(seen)
+
+    def _say(self, words: str, alarm: Alarm, change: str, level: str, **more: str) -> None:
+        c = alarm.condition
+        figures = {"value": c.value, "limit": c.limit, "unit": c.unit}
+        self._tell(f"{words}: {c.reason}", level, kind="alarm", key=c.key, change=change, **figures, **more)
 
 
 def alarm_dict(alarm: Alarm, now_ns: int) -> dict[str, Any]:

@@ -12,12 +12,10 @@ from service.identity.names import NamingError
 from service.sinks.session.control import RecordingError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from drivers.grabber import Clock
     from service.alignment.interpreter import Interpreter
     from service.console.desk import AlarmDesk
-    from service.console.watched import Watched
+    from service.console.watched import Tell, Watched
     from service.results import FrameResult
     from service.sinks.session.control import SessionControl
 
@@ -48,7 +46,7 @@ class Operations:
         watched: Watched,
         recorder: SessionControl | None,
         clock: Clock,
-        tell: Callable[[str, str], None],
+        tell: Tell,
     ) -> None:
         self._interpreter, self._desk, self._watched = interpreter, desk, watched
         self._recorder, self._clock, self._tell = recorder, clock, tell
@@ -103,7 +101,7 @@ class Operations:
             self._unaligned = target
         else:
             aligner.target = target
-        self._told(f"target is {target}", operator)
+        self._told(f"target is {target}", operator, target=str(target), generation=target.generation)
         return str(target)
 
     def anchor(self, row: int, column: int, name: str, generation: int | None, operator: str) -> str:
@@ -113,8 +111,9 @@ class Operations:
             check_anchors(self._rule, [anchor])
         except NamingError as error:
             raise RefusedError(str(error)) from None
-        self._interpreter.namer.anchor([anchor], self._present(generation))
-        self._told(f"anchor {anchor}", operator)
+        present = self._present(generation)
+        self._interpreter.namer.anchor([anchor], present)
+        self._told(f"anchor {anchor}", operator, anchors=[str(anchor)], generation=present)
         return str(anchor)
 
     def _present(self, generation: int | None) -> int:
@@ -175,7 +174,8 @@ class Operations:
         if name not in offered:
             raise RefusedError(f"there is no input {name!r}; there is {', '.join(offered) or 'one only'}")
         self._watched.select_input(name)
-        self._told(f"input is {name}", operator)
+        self._told(f"input is {name}", operator, input=name)
 
-    def _told(self, what: str, operator: str) -> None:
-        self._tell(f"{what}, by {operator}" if operator else what, "INFO")
+    def _told(self, what: str, operator: str, **more: Any) -> None:
+        by = f", by {operator}" if operator else ""
+        self._tell(f"{what}{by}", "INFO", kind="operator", operator=operator, **more)

@@ -65,7 +65,7 @@ class StateTeller:
             "columns_grow": None if rule.columns_grow is None else str(rule.columns_grow),
             "map": None if rule.map is None else {"name": rule.map.name, "approximate": rule.map.approximate},
             "bands": self._bands(),
-            "viewer_url": a.viewer_url,
+            "viewer_url": a.viewer_url(),
             "may_control": may_control,
             "epoch_ms": time.time_ns() / 1e6 - now_ns / 1e6,
             "trend": [list(point) for point in self._trend.since(now_ns)],

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from service.config.console import ConsoleSettings
     from service.identity.counting import NamingRule
 
-__all__ = ["About", "RefusedError", "SourceStatus", "Watched"]
+__all__ = ["About", "RefusedError", "SourceStatus", "Tell", "Watched"]
 
 
 class RefusedError(Exception):
@@ -47,6 +49,14 @@ class SourceStatus:
     input: str = ""
 
 
+class Tell(Protocol):
+    """Who is told of what happens at the station."""
+
+    def __call__(self, text: str, level: str, *, kind: str, **more: Any) -> None:
+        """Take note, at once: in words, INFO or WARN, "alarm" or "operator", and in figures what it was."""
+        ...
+
+
 class Watched(Protocol):
     """The live service as the page sees it. Callable from any thread."""
 
@@ -71,10 +81,10 @@ class About:
         As people call them.
     rule
         How tubes are named.
-    viewer_url
-        Where rerun's page is; None where none is served.
     settings
         [console].
+    viewer_url
+        Tells where rerun's page is; None where none is served.
     """
 
     kind: str
@@ -82,4 +92,4 @@ class About:
     generator: str
     rule: NamingRule
     settings: ConsoleSettings
-    viewer_url: str | None = field(default=None)
+    viewer_url: Callable[[], str | None] = field(default=lambda: None)

@@ -15,7 +15,7 @@ from tests.fakes.scripted import ScriptedGrabber
 @pytest.fixture
 def replay(vision, capsys):
     def run(*arguments):
-        status = main(["replay", *map(str, arguments), "--no-viewer"])
+        status = main(["replay", *map(str, arguments), "--no-viewer", "--no-console"])
         out, err = capsys.readouterr()
         return status, out, err
 
@@ -138,7 +138,7 @@ def test_run_grabs_what_the_station_says_from_any_folder(vision, capsys, tmp_pat
         '[source.controls]\nbrightness = 300\n[generator]\nname = "model-f"\n'
     )
     vision.answer = lambda: [make_measurement(Lock.PARTIAL)]
-    assert main(["run", "--config", str(station), "--seconds", "0.5", "--no-viewer"]) == 0
+    assert main(["run", "--config", str(station), "--seconds", "0.5", "--no-viewer", "--no-console"]) == 0
     out, err = capsys.readouterr()
     assert out.startswith("SIMULATED")
     assert "asked for brightness = 300, the device took 255" in err
@@ -162,7 +162,7 @@ def test_a_station_that_asks_for_what_there_is_not_is_refused(vision, capsys, tm
         '[source.controls]\nbrightness = 128\n[generator]\nname = "model-f"\n'
     )
     station.write_text(text.replace(old, new))
-    assert main(["run", "--config", str(station), "--no-viewer"]) == 2
+    assert main(["run", "--config", str(station), "--no-viewer", "--no-console"]) == 2
     out, err = capsys.readouterr()
     assert out == ""
     assert words in err
@@ -170,7 +170,7 @@ def test_a_station_that_asks_for_what_there_is_not_is_refused(vision, capsys, tm
 
 
 def test_the_demonstration_plays_the_bundled_video(vision, capsys):
-    assert main(["demo", "--seconds", "0.5", "--no-viewer"]) == 0
+    assert main(["demo", "--seconds", "0.5", "--no-viewer", "--no-console"]) == 0
     assert vision.made[0].camera.image_size_px == (640, 480)
     assert vision.made[0].camera.complete
     assert "every frame accounted for" in capsys.readouterr().out

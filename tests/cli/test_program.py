@@ -75,7 +75,7 @@ def test_letters_that_a_terminal_lacks_are_replaced():
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_the_demonstration_runs_from_any_folder_until_it_is_stopped(start, number):
-    process = start("demo", "--no-viewer")
+    process = start("demo", "--no-viewer", "--no-console")
     assert process.stdout.readline().startswith("REPLAY")
     process.send_signal(number)
     out, err = process.communicate(timeout=PATIENCE_S)

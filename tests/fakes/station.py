@@ -75,10 +75,8 @@ class FakeStation:
         self.interpreter = Interpreter(TubeNamer(rule), aligner)
         self.settings = ConsoleSettings(port=8420, **settings)
         self.latest = None
-        self.desk = AlarmDesk(lambda text, level: self.told.append(text))
-        self.operations = Operations(
-            self.interpreter, self.desk, self.watched, self.recorder, self.clock, lambda t, level: self.told.append(t)
-        )
+        self.desk = AlarmDesk(self.tell)
+        self.operations = Operations(self.interpreter, self.desk, self.watched, self.recorder, self.clock, self.tell)
         self.board, self.trend = Board(), Trend()
         about = About(kind, "camera 1", "Model F", rule, self.settings)
         self.teller = StateTeller(
@@ -92,6 +90,9 @@ class FakeStation:
         self.access = Access(self.settings, 8420, tokens)
         self.web = WebApp(self.access, self.board, self.teller, self.operations, self.clock, self.settings.clients)
         self.app = self.web.asgi
+
+    def tell(self, text, level, *, kind, **more):
+        self.told.append(text)
 
     def show(self, frame, result):
         """Bring a frame to the pages, as the sink's thread would."""

@@ -77,13 +77,9 @@ function hello(said) {
     b.disabled = !mayControl && !["sound", "help"].includes(b.dataset.do);
   });
   if (!mayControl) say("This page may watch, not operate.");
-  $("viewer").hidden = !said.viewer_url;
-  if (said.viewer_url) $("viewer").href = viewerUrl(said.viewer_url);
-}
-
-/** The 3D viewer is for browsers of the service's own machine only. */
-function viewerUrl(url) {
-  return url;
+  // the 3D viewer is for browsers of the service's own machine only
+  $("viewer").hidden = !said.viewer_url || !["127.0.0.1", "localhost", "[::1]"].includes(location.hostname);
+  if (said.viewer_url) $("viewer").href = said.viewer_url;
 }
 
 function told(state) {
