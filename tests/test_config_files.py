@@ -1,10 +1,11 @@
+import os
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from drivers.errors import ConfigError
-from service.config.cameras import CalibrationRecord, read_camera, write_camera
+from service.config.cameras import CalibrationRecord, read_camera, write_atomically, write_camera
 from service.config.generators import generator_names, load_generator
 from service.vision.camera import Camera, OpenCVLens, TsaiLens
 
@@ -90,7 +91,12 @@ def test_a_camera_file_may_leave_all_but_the_pixel_pitch_unknown(tmp_path):
     [
         ("[640, 480]", "[640]", ["image_size_px", "2 numbers"]),
         ("[640, 480]", "[640.5, 480]", ["image_size_px", "whole"]),
-        ("18.78", "0", ["focal_length_mm = 0", "above 0"]),
+        ("18.78", "0", ["focal_length_mm = 0", "at least 0.1"]),
+        ("18.78", "1e-4", ["focal_length_mm = 0.0001", "at least 0.1"]),
+        ("[0.005, 0.005]", "[5.0, 5.0]", ["pixel_pitch_mm = [5.0, 5.0]", "from 0.0001 to 1"]),
+        ("[640, 480]", "[640, 1e9]", ["image_size_px", "from 16 to 65536"]),
+        ("[319.5, 239.5]", "[1e9, 240]", ["principal_point_px", "640 x 480"]),
+        ("-0.00249", "-2.49", ["kappa1_per_mm2 = -2.49", "from -0.75 to 0.75"]),
         ("18.78", '"long"', ["focal_length_mm", "number"]),
         ("18.78", "inf", ["focal_length_mm", "finite"]),
         ("sx = 1.0", "sx = 1.0\nopencv_distortion = [0, 0, 0, 0, 0]", ["opencv_distortion", "not both"]),
@@ -111,6 +117,30 @@ def test_an_impossible_camera_file_is_refused_by_name(tmp_path, old, new, words)
         read_camera(path)
     for word in [str(path), *words]:
         assert word in str(error.value)
+
+
+def test_what_is_no_file_is_written_to_and_never_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)
+    try:
+        write_atomically(pipe, "name = 1\n")
+        assert os.read(reader, 99) == b"name = 1\n"
+    finally:
+        os.close(reader)
+    assert pipe.is_fifo()
+    with pytest.raises(ConfigError, match="/dev/full: cannot be written: No space left on device"):
+        write_atomically(Path("/dev/full"), "name = 1\n")
+    assert Path("/dev/full").is_char_device()
+
+
+def test_a_link_stays_one_and_what_it_points_to_is_written(tmp_path):
+    target, link = tmp_path / "camera.toml", tmp_path / "link.toml"
+    target.write_text("old")
+    link.symlink_to(target)
+    write_atomically(link, "new")
+    assert link.is_symlink()
+    assert target.read_text() == "new"
 
 
 def test_what_cannot_be_read_or_written_is_said_in_a_line(tmp_path):

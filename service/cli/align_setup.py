@@ -17,6 +17,7 @@ from service.alignment.setup import solve_guide
 from service.alignment.targets import parse_anchor
 from service.cli.inputs import field_order, fitting_camera, station
 from service.cli.live import prepare_kernels
+from service.cli.outputs import check_outputs
 from service.cli.standings import StandingOver
 from service.cli.terminal import say
 from service.config.alignment import IdentitySettings
@@ -56,8 +57,7 @@ def run(args: argparse.Namespace) -> int:
             "align-setup: over which tube does the guide stand? give --guide-px X,Y, where in the picture it points"
             " (the nearest tube is taken), or --table FILE with frames and tubes"
         )
-    if args.out.resolve() in {p.resolve() for p in (args.path, args.camera, args.table, args.config) if p}:
-        raise ConfigError(f"{args.out}: is read from; choose another name for the guide file")
+    check_outputs([args.out], [p for p in (args.path, args.camera, args.table, args.config) if p])
     over = StandingOver(generator.lattice, args.guide_px, lines, TubeNamer(rule, anchors), apart=args.path.is_dir())
     for result in _results(args, camera, generator.lattice):
         over.take(result)

@@ -18,6 +18,7 @@ from service.acquisition.measuring import FrameMeasurer
 from service.cli.inputs import field_order, fitting_camera, station
 from service.cli.interpreting import interpreter_for
 from service.cli.live import prepare_kernels
+from service.cli.outputs import check_outputs
 from service.cli.terminal import Interrupted, say
 from service.config.alignment import IdentitySettings
 from service.config.cameras import read_camera
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     generator = load_generator(args.generator)
     camera = read_camera(args.camera) if args.camera else None
     outputs = [Path(p) for p in (args.jsonl, args.csv) if p not in (None, "-")]
-    _refuse_overwriting(outputs, [p for p in (*args.paths, args.camera, args.config) if p])
+    check_outputs(outputs, [p for p in (*args.paths, args.camera, args.config) if p])
     interpreters = _interpreters(args, generator)
     grabbers = [ReplayGrabber(path, speed=math.inf) for path in args.paths]
     total = _check(grabbers, camera)
@@ -86,15 +87,6 @@ def _check(grabbers: Sequence[ReplayGrabber], camera: Camera | None) -> int | No
             counts.append(grabber.frame_count)
     known = [c for c in counts if c is not None]
     return sum(known) if len(known) == len(counts) else None
-
-
-def _refuse_overwriting(outputs: Sequence[Path], sources: Sequence[Path]) -> None:
-    """Never write over what is to be read, nor two outputs into one file."""
-    taken = {p.resolve() for p in sources}
-    for path in outputs:
-        if path.resolve() in taken:
-            raise ConfigError(f"{path}: is a source, or another output, already; choose another name")
-        taken.add(path.resolve())
 
 
 def _writers(args: argparse.Namespace) -> list[Sink]:

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from drivers.errors import CalibrationError, ConfigError
+from service.cli.outputs import check_outputs
 from service.config.cameras import read_camera, write_atomically
 from service.config.points import read_points
 from service.vision.errors import DegenerateError
@@ -32,6 +33,8 @@ def run_points(points: Path, camera: Path, method: str = "tsai", json_out: str |
     """
     if method not in METHODS:
         raise ConfigError(f"--method {method}: unknown; it must be one of {', '.join(METHODS)}")
+    out = None if json_out in (None, "-") else Path(json_out)
+    check_outputs([out] if out else [], [points, camera])
     known = read_camera(camera)
     sheet_mm, points_px = read_points(points)
     try:
@@ -44,7 +47,7 @@ def run_points(points: Path, camera: Path, method: str = "tsai", json_out: str |
         for doubt in result.doubts:
             print(f"{points}: note: {doubt}", file=sys.stderr)
         return 0
-    if json_out is not None:
-        write_atomically(Path(json_out), text + "\n")
+    if out is not None:
+        write_atomically(out, text + "\n")
     print(result.report())
     return 0

@@ -12,7 +12,9 @@ import numpy as np
 
 from drivers.decoding import decode_picture
 from drivers.errors import ConfigError, UnsupportedFormatError
+from service.cli.inputs import large_enough
 from service.cli.live import prepare_kernels
+from service.cli.outputs import check_outputs
 from service.config.cameras import read_camera, write_atomically
 from service.config.generators import load_generator
 from service.vision.measurement import Lock, Measurement, Origin
@@ -52,7 +54,9 @@ def _engine(pixels: Pixels, lattice: Lattice, camera: Camera) -> Measurement:
 
 
 def run_compare(picture: Path, generator: str, camera: Path | None, json_out: str | None, engine: Engine) -> int:
-    """Compare the paper's five centre methods on a picture; print a table, or write JSON to a file or "-".
+    """Compare the paper's five centre methods on a picture; print a table, or JSON where `json_out` is "-".
+
+    Any other `json_out` names a file to write the JSON to, beside the table.
 
     Returns
     -------
@@ -65,6 +69,8 @@ def run_compare(picture: Path, generator: str, camera: Path | None, json_out: st
         The picture, the steam generator or the camera file cannot be used.
     """
     known = load_generator(generator)
+    out = None if json_out in (None, "-") else Path(json_out)
+    check_outputs([out] if out else [], [p for p in (picture, camera) if p])
     pixels = _read_picture(picture)
     used = _camera_of(pixels, picture, camera)
     sighting, methods = compare(pixels, known.lattice, used)
@@ -76,12 +82,10 @@ def run_compare(picture: Path, generator: str, camera: Path | None, json_out: st
         "methods": {str(m.method): _method(m) for m in methods},
         "modern": _modern(engine(pixels, known.lattice, used), known.lattice, _origin_px(methods)),
     }
-    if json_out is None:
-        print("\n".join(_text(document)))
-    elif json_out == "-":
-        print(json.dumps(document, indent=1, allow_nan=False))
-    else:
-        write_atomically(Path(json_out), json.dumps(document, indent=1, allow_nan=False) + "\n")
+    text = json.dumps(document, indent=1, allow_nan=False)
+    if out is not None:
+        write_atomically(out, text + "\n")
+    print(text if json_out == "-" else "\n".join(_text(document)))
     return 0
 
 
@@ -98,6 +102,7 @@ def _read_picture(path: Path) -> Pixels:
 
 def _camera_of(pixels: Pixels, picture: Path, camera: Path | None) -> Camera:
     size = pixels.shape[1], pixels.shape[0]
+    large_enough(size, str(picture))
     if camera is None:
         return assumed_camera(size)
     read = read_camera(camera)

@@ -15,9 +15,10 @@ if TYPE_CHECKING:
     from drivers.grabber import FrameFormat
     from service.vision.camera import Camera
 
-__all__ = ["field_order", "fitting_camera", "station", "station_file"]
+__all__ = ["field_order", "fitting_camera", "large_enough", "station", "station_file"]
 
 STATION_FILE = Path("config/station.toml")
+SMALLEST_PX = 16
 
 
 def station_file(path: Path | None) -> Path:
@@ -37,15 +38,25 @@ def field_order(given: str | None, default: FieldOrder = FieldOrder.AUTO) -> Fie
     return default if given is None else FieldOrder(given)
 
 
+def large_enough(size_px: tuple[int, int], source: str) -> None:
+    """Refuse pictures that no sheet fits on; raises ConfigError."""
+    if min(size_px) < SMALLEST_PX:
+        raise ConfigError(
+            f"{source}: its pictures are {size_px[0]}x{size_px[1]} px; give a source of at least"
+            f" {SMALLEST_PX}x{SMALLEST_PX} px"
+        )
+
+
 def fitting_camera(camera: Camera | None, picture_format: FrameFormat, source: str, *, quiet: bool = False) -> Camera:
     """Check that the camera is that of the pictures; without one, assume a sensor, and say so unless `quiet`.
 
     Raises
     ------
     ConfigError
-        The camera file is for pictures of another size.
+        The camera file is for pictures of another size, or they are too small for any.
     """
     size = (picture_format.width_px, picture_format.height_px)
+    large_enough(size, source)
     if camera is None:
         camera = assumed_camera(size)
         if not quiet:

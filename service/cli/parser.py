@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import difflib
+import itertools
 import math
 import re
 from pathlib import Path
@@ -48,12 +49,23 @@ def parse(arguments: Sequence[str]) -> argparse.Namespace:
     given = next((a for a in arguments if not a.startswith("-")), None)
     if given is not None and given not in commands:
         raise UsageError(f"unknown command {given!r}; {_nearest(given, list(commands))}see bowlsight --help")
+    if given is not None:  # before what is missing: that may be what was misspelt
+        known = {*_options(parser), *_options(commands[given])}
+        options = [a for a in itertools.takewhile(lambda a: a != "--", arguments) if a.startswith("--")]
+        _refuse([a for a in options if a.partition("=")[0] not in known], commands[given])
     args, unknown = parser.parse_known_args(arguments, argparse.Namespace(verbose=False))
-    if unknown:
-        known = commands[args.command]
-        options = [o for action in known._actions for o in action.option_strings]  # noqa: SLF001 - has no public name
-        raise UsageError(f"unknown argument {unknown[0]!r}; {_nearest(unknown[0], options)}see {known.prog} --help")
+    _refuse(unknown, commands[args.command])
     return args
+
+
+def _refuse(unknown: Sequence[str], command: _Parser) -> None:
+    if unknown:
+        hint = _nearest(unknown[0], _options(command))
+        raise UsageError(f"unknown argument {unknown[0]!r}; {hint}see {command.prog} --help")
+
+
+def _options(parser: _Parser) -> list[str]:
+    return [o for action in parser._actions for o in action.option_strings]  # noqa: SLF001 - has no public name
 
 
 def _nearest(given: str, known: Sequence[str]) -> str:
@@ -137,6 +149,12 @@ def _whole(minimum: int, maximum: int) -> Callable[[str], int]:
         return int(text)
 
     return read
+
+
+def _file(text: str) -> Path:
+    if text in {"", "-"}:
+        raise argparse.ArgumentTypeError(f"{text!r} must be the name of a file")
+    return Path(text)
 
 
 def _rrd(text: str) -> Path:
@@ -271,7 +289,7 @@ def _analyze(p: _Parser) -> None:
     _camera(p)
     _field_order(p)
     p.add_argument("--jsonl", metavar="FILE|-", help="a JSON line a picture; - for standard output, without the table")
-    p.add_argument("--csv", metavar="FILE", type=Path, help="a row a picture, for spreadsheets")
+    p.add_argument("--csv", metavar="FILE", type=_file, help="a row a picture, for spreadsheets")
     p.add_argument(
         "--config", metavar="FILE", type=Path, help="station file: its [identity] and [alignment] hold here too"
     )
@@ -299,8 +317,8 @@ def _calibrate(p: _Parser) -> None:
 def _simulate(p: _Parser) -> None:
     p.add_argument("out", metavar="OUT", type=Path, help="video to write; its truth goes beside it, as .json")
     _generator(p, required=True)
-    p.add_argument("--seed", type=_whole(0, 2**32 - 1), default=0, help="another number, another video")
-    p.add_argument("--frames", type=_whole(1, 100_000), default=125, help="its length")
+    p.add_argument("--seed", type=_whole(0, 2**32 - 1), default=0, help="another number, another video; default: 0")
+    p.add_argument("--frames", type=_whole(1, 100_000), default=125, help="its length; default: 125")
 
 
 def _align_setup(p: _Parser) -> None:

@@ -15,12 +15,15 @@ from service.config.table import Table, read_toml
 from service.vision.camera import Camera, OpenCVLens, TsaiLens
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-__all__ = ["CalibrationRecord", "read_camera", "write_camera"]
+__all__ = ["CalibrationRecord", "read_camera", "write_atomically", "write_camera"]
 
+MOST_BENT = 3.0
+"""Largest share, kappa1 r², by which a lens may bend a picture's corner: at 2 it is a fisheye's."""
 LENS_TERMS = ("k1", "k2", "p1", "p2", "k3")
 PARAMETERS = ("focal_length_mm", "kappa1_per_mm2", *LENS_TERMS, "cx_px", "cy_px", "sx")
 
@@ -38,9 +41,9 @@ def read_camera(path: Path) -> Camera:
     """Read a camera file; raises ConfigError where a key is missing, unknown or impossible."""
     t = read_toml(path)
     size = t.numbers("image_size_px", 2, above=0)
-    if any(v != int(v) or v < 16 for v in size):
-        raise t.error("image_size_px", "must be two whole numbers of at least 16")
-    focal = t.number("focal_length_mm", None, above=0, maximum=10_000)
+    if any(v != int(v) or not 16 <= v <= 65_536 for v in size):
+        raise t.error("image_size_px", "must be two whole numbers from 16 to 65536")
+    focal = t.number("focal_length_mm", None, minimum=0.1, maximum=10_000)
     kappa1 = t.number("kappa1_per_mm2", None)
     opencv = t.numbers("opencv_distortion", 5, None)
     if kappa1 is not None and opencv is not None:
@@ -49,6 +52,16 @@ def read_camera(path: Path) -> Camera:
         raise t.error("opencv_distortion", "means nothing without focal_length_mm; give that, or leave the lens out")
     pitch = t.numbers("pixel_pitch_mm", 2, above=0)
     point = t.numbers("principal_point_px", 2, None)
+    if any(not 1e-4 <= p <= 1 for p in pitch):
+        raise t.error("pixel_pitch_mm", "must be two numbers from 0.0001 to 1")
+    if point is not None and any(not -s <= p <= 2 * s for p, s in zip(point, size, strict=True)):
+        raise t.error(
+            "principal_point_px", f"must be within a picture's size of the picture, {size[0]:g} x {size[1]:g}"
+        )
+    if kappa1 is not None and abs(kappa1) * (corner := _corner_mm2(size, pitch)) > MOST_BENT:
+        raise t.error(
+            "kappa1_per_mm2", f"must be from {-MOST_BENT / corner:.3g} to {MOST_BENT / corner:.3g}: no lens bends more"
+        )
     sx = t.number("sx", None, above=0.5, maximum=2)
     t.number("reprojection_error_px", None, minimum=0)
     t.text("calibrated_utc", None)
@@ -71,6 +84,11 @@ def read_camera(path: Path) -> Camera:
         if _value(camera, name) is None:
             raise t.error("sigma", f"gives {name} a sigma, but the file gives it no value")
     return camera
+
+
+def _corner_mm2(size_px: Sequence[float], pitch_mm: Sequence[float]) -> float:
+    """Square of the distance from a picture's middle to its corner, mm² on the sensor."""
+    return sum((s * p / 2) ** 2 for s, p in zip(size_px, pitch_mm, strict=True))
 
 
 def _covariance(t: Table, lens: OpenCVLens | TsaiLens | None) -> tuple[tuple[str, ...], NDArray[np.float64]]:
@@ -151,9 +169,16 @@ def write_camera(path: Path, camera: Camera, record: CalibrationRecord | None = 
 
 
 def write_atomically(path: Path, text: str) -> None:
-    """Write a text file by way of a temporary one beside it, flushed to disk before it takes the name."""
+    """Write a text file by way of a temporary one beside it, flushed to disk before it takes the name.
+
+    A link stays one. What is there and no file, such as a terminal or a pipe, is written to, never replaced.
+    """
+    if path.exists() and not path.is_file():
+        _write_through(path, text)
+        return
+    target = path.resolve()
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.", suffix=".part")
     except OSError as error:
         raise ConfigError(
             f"{path}: cannot be written: {error.strerror}; choose a folder that this user may write to"
@@ -164,7 +189,14 @@ def write_atomically(path: Path, text: str) -> None:
             file.flush()
             os.fsync(file.fileno())
         os.chmod(temporary, 0o644)  # noqa: PTH101 - mkstemp gives 0600; a camera file is for others to read
-        os.replace(temporary, path)  # noqa: PTH105
+        os.replace(temporary, target)  # noqa: PTH105
     except OSError as error:
         os.unlink(temporary)  # noqa: PTH108
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+
+
+def _write_through(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; choose another place") from None

@@ -120,7 +120,21 @@ def test_json_goes_to_a_file_whole(picture, camera, tmp_path, capsys):
     out = tmp_path / "out.json"
     assert run_compare(picture, "system80", camera, str(out), no_lock) == 0
     assert list(json.loads(out.read_text())["methods"]) == METHODS
-    assert capsys.readouterr().out == ""
+    assert capsys.readouterr().out.startswith("Table 2")
+
+
+def test_the_picture_is_never_written_over(picture, camera):
+    before = picture.read_bytes()
+    with pytest.raises(ConfigError, match=r"bowl\.png: is a source"):
+        run_compare(picture, "system80", camera, str(picture), no_lock)
+    assert picture.read_bytes() == before
+
+
+def test_a_picture_too_small_for_any_sheet_is_refused(tmp_path):
+    path = tmp_path / "dot.png"
+    cv2.imwrite(str(path), np.zeros((1, 20), np.uint8))
+    with pytest.raises(ConfigError, match=r"dot\.png: its pictures are 20x1 px; .*16x16"):
+        run_compare(path, "system80", None, None, no_lock)
 
 
 def test_sixteen_bit_and_colour_pictures_are_read(tmp_path, camera, capsys):

@@ -38,6 +38,8 @@ def test_the_version_is_the_packages(capsys):
         ("--verbos demo", ["unknown argument '--verbos'", "did you mean --verbose?"]),
         ("analyze", ["required", "PATH", "--generator", "bowlsight analyze --help"]),
         ("analyze a.png --generator x --jsnol -", ["unknown argument '--jsnol'", "did you mean --jsonl?"]),
+        ("analyze a.png --generatr model-f", ["unknown argument '--generatr'", "did you mean --generator?"]),
+        ("analyze a.png --generator x --csv -", ["--csv", "the name of a file"]),
         ("analyze a.png --gen model-f", ["--generator"]),
         ("analyze a.png --generator x --field-order odd", ["--field-order", "'odd'", "progressive"]),
         ("replay", ["required", "PATH"]),
