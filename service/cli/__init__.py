@@ -64,6 +64,11 @@ def _explain(error: Exception) -> tuple[int, str]:
             return WRONG_USE, str(error)
         case CalibrationError():
             return PROBLEM, str(error)
+        case RuntimeError() if "no locator available" in str(error):  # numba's words where it may write nowhere
+            return WRONG_USE, (
+                "compiled kernels: neither the installation nor the home folder may be written to by this user; set"
+                " NUMBA_CACHE_DIR to a folder that may"
+            )
         case OSError():
             return PROBLEM, f"{error.filename or 'output'}: {error.strerror or error}; what was written before is whole"
         case _:

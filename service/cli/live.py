@@ -9,6 +9,7 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+from drivers.errors import ConfigError
 from service.acquisition.cross_check import CrossCheck
 from service.acquisition.live import STOP_S, LiveService
 from service.alignment.interpreter import Interpreter
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LiveRun", "prepare_kernels", "watch"]
 
+PREPARING = "preparing the measuring kernels; the first time after an installation this takes up to a minute"
 REFRESH_S = 0.2
 FLUSH_S = 10.0
 """How long sinks may take to flush when nobody asked for a stop."""
@@ -167,12 +169,23 @@ def _recorder(live: LiveRun, args: argparse.Namespace) -> SessionRecorder | None
 
 
 def prepare_kernels() -> None:
-    """Compile the measuring kernels, or load them; the first time on a machine takes long enough to say so."""
-    notice = threading.Timer(2.0, say, ["compiling the measuring kernels, once on this machine; this takes a while"])
+    """Compile the measuring kernels, or load them; the first time on a machine takes long enough to say so.
+
+    Raises
+    ------
+    ConfigError
+        There is no room to keep what was compiled.
+    """
+    notice = threading.Timer(2.0, say, [PREPARING])
     notice.daemon = True
     notice.start()
     try:
         warm_up(time.perf_counter_ns)
+    except OSError as error:
+        raise ConfigError(
+            f"compiled kernels: cannot be kept: {error.strerror or error}; make room for 10 MB, or set NUMBA_CACHE_DIR"
+            " to a folder that has it"
+        ) from error
     finally:
         notice.cancel()
         notice.join()

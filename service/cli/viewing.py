@@ -92,4 +92,5 @@ def make_viewing(
             memory_limit=f"{settings.memory_mib}MiB",
         )
     recorded = [] if args.save is None else [ViewerFileSink(args.save, watch)]
-    return Viewing([*recorded, *([live] if live else [])], live, args.open or settings.open_browser)
+    # a port that is taken is told before a recording that is there is begun anew
+    return Viewing([*([live] if live else []), *recorded], live, args.open or settings.open_browser)

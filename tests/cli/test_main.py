@@ -1,14 +1,17 @@
+import errno
 import logging
 import os
 import signal
 import sys
 import threading
 import types
+from unittest.mock import Mock
 
 import pytest
 
 from drivers.errors import CalibrationError, ConfigError, DeviceDisconnectedError
 from service.cli import main
+from service.cli.live import prepare_kernels
 
 
 @pytest.fixture
@@ -37,6 +40,11 @@ def raising(error):
         (DeviceDisconnectedError("cam", "is gone"), 2, "bowlsight: cam: is gone\n"),
         (CalibrationError("9 points in a line"), 1, "bowlsight: 9 points in a line\n"),
         (OSError(28, "No space left on device", "out.csv"), 1, "bowlsight: out.csv: No space left on device;"),
+        (
+            RuntimeError("cannot cache function 'f': no locator available for file 'x.py'"),
+            2,
+            "bowlsight: compiled kernels: ",
+        ),
         (ZeroDivisionError("by zero"), 1, "bowlsight: a mistake in Bowlsight: ZeroDivisionError: by zero;"),
     ],
 )
@@ -46,6 +54,14 @@ def test_an_error_is_one_line_and_a_status(command, capsys, error, status, words
     err = capsys.readouterr().err
     assert err.startswith(words)
     assert err.count("\n") == 1
+
+
+def test_a_disk_without_room_for_compiled_kernels_is_told(monkeypatch):
+    monkeypatch.setattr("service.cli.live.warm_up", Mock(side_effect=OSError(errno.ENOSPC, "No space left on device")))
+    with pytest.raises(
+        ConfigError, match=r"compiled kernels: cannot be kept: No space left on device; .*NUMBA_CACHE_DIR"
+    ):
+        prepare_kernels()
 
 
 def test_verbose_shows_where_a_mistake_was_made(command, capsys):

@@ -1,3 +1,5 @@
+import socket
+
 import pytest
 
 from service.cli import main, viewing
@@ -31,6 +33,18 @@ def test_a_recording_can_be_had_without_a_viewer(make, tmp_path):
     assert [sink.name for sink in shown.sinks] == ["viewer file"]
     assert (shown.live, made) == (None, {})
     assert not (tmp_path / "a.rrd").exists()
+
+
+def test_a_taken_port_costs_no_recording_that_is_there(vision, capsys, tmp_path):
+    kept = tmp_path / "a.rrd"
+    kept.write_bytes(b"precious")
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert main(["demo", "--no-console", "--port", str(port), "--save", str(kept)]) == 2
+    assert f"viewer port = {port} at 127.0.0.1: Address already in use" in capsys.readouterr().err
+    assert kept.read_bytes() == b"precious"
 
 
 def test_options_overrule_the_station(make):
