@@ -61,7 +61,7 @@ export class Alarms {
     row.querySelector(".todo").textContent = `→ ${a.todo}`;
     const seen = a.acknowledged ? "acknowledged" : "not acknowledged";
     row.querySelector(".when").textContent =
-      `${utc(epochMs + a.raised_ms)} UTC, ${ago(a.age_s)} ago · ${a.active ? "still so" : "gone"} · ${seen}${a.times > 1 ? ` · ${a.times} times` : ""}`;
+      `${utc(epochMs + a.raised_ms)} UTC, ${ago(a.age_s)} ago${a.active ? "" : " · GONE"} · ${seen}${a.times > 1 ? ` · ${a.times}×` : ""}`;
     if (!a.acknowledged && mayControl) {
       const button = document.createElement("button");
       button.type = "button";

@@ -85,6 +85,8 @@ export class Dial {
     ring(pen, c, limits[0] * scale, INK, 1.6);
     ring(pen, c, limits[1] * scale, INK, 1.6, [5, 4]);
     pen.fillStyle = INK;
+    pen.textAlign = "center";
+    if (limits[1] * scale < 0.3 * most) pen.fillText(`to ${+(most / scale).toPrecision(2)} ${unit === "deg" ? "°" : unit}`, c, c - most * 0.72);
     pen.textAlign = "left";
     limits.forEach((limit) => {
       const at = limit * scale * Math.SQRT1_2;
@@ -185,7 +187,9 @@ export function drawTrend(canvas, points, field, title, unit, limits, nowMs) {
 
 function span(known, field, limits) {
   const values = known.map((p) => p[field]);
-  if (limits.length) return [0, Math.max(1.3 * limits[limits.length - 1], ...values.map((v) => v * 1.1))];
+  // what is far off would squeeze the limits to nothing: it leaves at the top
+  const last = limits[limits.length - 1];
+  if (limits.length) return [0, Math.min(4 * last, Math.max(1.3 * last, ...values.map((v) => v * 1.1)))];
   if (!values.length) return [0, 1];
   const low = Math.min(...values), high = Math.max(...values), margin = Math.max(0.15 * (high - low), 0.02 * Math.abs(high), 1e-3);
   return [low - margin, high + margin];
@@ -224,6 +228,13 @@ function line(pen, points) {
   pen.stroke();
 }
 
+/** Of growing values those that are not too close to the one before. */
+function apart(values, gap) {
+  const kept = [];
+  for (const v of values) if (!kept.length || v - kept[kept.length - 1] > gap) kept.push(v);
+  return kept;
+}
+
 function scale(pen, left, right, top, bottom, low, high, title, unit, limits, y) {
   pen.strokeStyle = SOFT;
   pen.lineWidth = 1;
@@ -231,7 +242,9 @@ function scale(pen, left, right, top, bottom, low, high, title, unit, limits, y)
   pen.fillStyle = INK;
   pen.textAlign = "right";
   const digits = high - low < 1 ? 2 : high - low < 10 ? 1 : 0;
-  for (const v of limits.length ? [0, ...limits] : [low, high]) {
+  const gap = (12 * (high - low)) / (bottom - top);
+  const told = limits.length ? apart([0, ...limits], gap) : [low, high];
+  for (const v of told) {
     pen.fillText(v.toFixed(limits.length ? Math.min(2, digits + 1) : digits), left - 4, Math.min(bottom, Math.max(top + 8, y(v) + 4)));
   }
   pen.textAlign = "left";

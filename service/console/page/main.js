@@ -60,10 +60,12 @@ async function drawWaiting() {
 
 function drawFrame(bitmap, { head, marks }) {
   if (!readouts.said) return;
+  const beganMs = performance.now();
   picture.draw(bitmap, head, marks);
   shown = head;
+  readouts.frame(head, marks, beganMs);
   frameMs = performance.now();
-  readouts.frame(head, marks, frameMs);
+  document.body.dataset.drawMs = (frameMs - beganMs).toFixed(1);
   if (link.clock.synced) {
     latencies.push(link.clock.now() - head.grabbed_ms);
     if (latencies.length > LATENCIES) latencies.shift();
@@ -104,7 +106,6 @@ setInterval(() => {
   const data = document.body.dataset;
   data.latencyP50 = percentile(latencies, 0.5) ?? "";
   data.latencyP95 = percentile(latencies, 0.95) ?? "";
-  data.frames = Number(data.frames ?? 0);
 }, WATCH_MS);
 
 function percentile(values, share) {
@@ -112,8 +113,6 @@ function percentile(values, share) {
   const sorted = [...values].sort((a, b) => a - b);
   return sorted[Math.round(share * (sorted.length - 1))];
 }
-
-addEventListener("resize", () => picture.fit());
 
 // -- what the operator does --------------------------------------------------------------------------------------------
 

@@ -19,12 +19,13 @@ function ellipse(path, cx, cy, ux, uy, vx, vy, scale = 1) {
   path.ellipse(cx, cy, long, wide, angle, 0, 2 * Math.PI);
 }
 
-function stroke(pen, path, color, width, dash = []) {
+function stroke(pen, path, color, width, dash = [], halo = false) {
   pen.setLineDash(dash);
-  pen.lineCap = "butt";
-  pen.strokeStyle = "#000a";
-  pen.lineWidth = width + 2;
-  pen.stroke(path);
+  if (halo) {
+    pen.strokeStyle = "#000a";
+    pen.lineWidth = width + 2;
+    pen.stroke(path);
+  }
   pen.strokeStyle = color;
   pen.lineWidth = width;
   pen.stroke(path);
@@ -67,13 +68,7 @@ export class Picture {
   /** Draw a frame: its bitmap and its own marks at once. */
   draw(bitmap, head, marks) {
     const pen = this.#pen, [width, height] = head.size_px;
-    // more dots than the picture has, so that marks are sharp on a larger screen
-    const scale = Math.min(3, Math.max(1, Math.ceil((this.#canvas.parentElement.clientWidth * devicePixelRatio) / width)));
-    if (this.#canvas.width !== width * scale || this.#canvas.height !== height * scale) {
-      this.#canvas.width = width * scale;
-      this.#canvas.height = height * scale;
-      this.fit();
-    }
+    const scale = this.#fit(width, height);
     pen.setTransform(scale, 0, 0, scale, 0, 0);
     pen.drawImage(bitmap, 0, 0, width, height);
     pen.translate(0.5, 0.5); // (0, 0) is the middle of the first pixel
@@ -82,12 +77,18 @@ export class Picture {
     if (head.lock !== "full") this.#drawFrame(head, width, height);
   }
 
-  /** Make the picture as large as its place allows. */
-  fit() {
-    const { clientWidth: w, clientHeight: h } = this.#canvas.parentElement;
-    const scale = Math.min(w / this.#canvas.width, h / this.#canvas.height);
-    this.#canvas.style.width = `${Math.floor(this.#canvas.width * scale)}px`;
-    this.#canvas.style.height = `${Math.floor(this.#canvas.height * scale)}px`;
+  /** Make the canvas as large as its place allows, a dot for a dot of the screen; gives dots a picture's pixel. */
+  #fit(width, height) {
+    const canvas = this.#canvas, { clientWidth: w, clientHeight: h } = canvas.parentElement;
+    const scale = Math.min(w / width, h / height), dots = scale * devicePixelRatio;
+    const [across, down] = [Math.round(width * dots), Math.round(height * dots)];
+    if (canvas.width !== across || canvas.height !== down) {
+      canvas.width = across;
+      canvas.height = down;
+      canvas.style.width = `${across / devicePixelRatio}px`;
+      canvas.style.height = `${down / devicePixelRatio}px`;
+    }
+    return dots;
   }
 
   #drawMarks(head, marks) {
@@ -111,7 +112,7 @@ export class Picture {
       path.lineTo(cx + sx * r, cy + sy * r);
       path.lineTo(cx + sx * (r - arm), cy + sy * r);
     }
-    stroke(pen, path, "#fff", 2.6);
+    stroke(pen, path, "#fff", 2.6, [], true);
     const name = nameAt(head, head.target[0], head.target[1]);
     pen.font = "600 13px system-ui, sans-serif";
     pen.textAlign = "center";
@@ -137,8 +138,8 @@ export class Picture {
     cross.lineTo(x + 7, y);
     cross.moveTo(x, y - 7);
     cross.lineTo(x, y + 7);
-    stroke(pen, path, "#fff", 1.6, [2, 2]);
-    stroke(pen, cross, "#fff", 1.6);
+    stroke(pen, path, "#fff", 1.6, [2, 2], true);
+    stroke(pen, cross, "#fff", 1.6, [], true);
   }
 
   /** A lock that is not full frames the picture, and says why. */

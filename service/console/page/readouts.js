@@ -71,19 +71,19 @@ export class Readouts {
     const help = a.help.length ? ` — ${a.help.join(", or ")}` : "";
     const why = a.reasons.join("; ");
     if (a.verdict === "aligned") show("ALIGNED", "tick", "fine", `${a.name ?? a.target}: offset, tilt and entry are within their bands`);
-    else if (a.verdict === "adjust") show(a.advice.toUpperCase().split(";")[0] || "ADJUST", a.grade === "alarm" ? "octagon" : "triangle", a.grade === "alarm" ? "alarm" : "warn", [a.advice.split(";").slice(1).join(";").trim(), why].filter(Boolean).join(" — "));
+    else if (a.verdict === "adjust") show(a.advice.split(";")[0] || "ADJUST", a.grade === "alarm" ? "octagon" : "triangle", a.grade === "alarm" ? "alarm" : "warn", ["ADJUST", a.advice.split(";").slice(1).join(";").trim(), why].filter(Boolean).join(" — "));
     else show(a.verdict.toUpperCase(), a.verdict === "stale" ? "clock" : "question", "none", why + help);
   }
 
   #figures(head, marks) {
     const a = head.alignment, p = head.pose, b = this.said.bands;
     putBig($("offset"), a?.offset_mm, a?.offset_sigma_mm, "mm");
-    $("offsetparts").textContent = a?.offset_picture_mm ? `guide is ${parts(a.offset_picture_mm, "mm")}` : "";
+    $("offsetparts").textContent = a?.offset_picture_mm ? parts(a.offset_picture_mm, "mm") : "";
     const tilt = b ? [a?.tilt_deg, a?.tilt_sigma_deg] : [p?.tilt_deg, p?.tilt_sigma_deg];
     putBig($("tilt"), tilt[0], tilt[1], "°");
     const leans = b ? a?.tilt_picture_deg : p?.tilt_picture_deg;
-    $("tilttitle").textContent = b ? "tilt, guide to tube" : "tilt, camera to sheet";
-    $("tiltparts").textContent = leans ? `${b ? "guide points" : "sheet leans"} ${parts(leans, "°")}` : "";
+    $("tilttitle").textContent = b ? "guide's tilt" : "camera's tilt";
+    $("tiltparts").textContent = leans ? parts(leans, "°") : "";
     $("offset").parentElement.classList.toggle("none", !a?.offset_mm);
     this.#quality($("offsetquality"), a ? a.quality : b ? "bad" : null);
     this.#quality($("tiltquality"), b ? (a?.quality ?? "bad") : { full: "good", partial: "uncertain", none: "bad" }[head.lock]);
@@ -95,7 +95,7 @@ export class Readouts {
     $("distance").textContent = withSigma(p?.distance_mm, p?.distance_sigma_mm, "mm");
     const counts = KINDS.map(() => 0);
     for (let i = 6; i < marks.length; i += 9) counts[marks[i]] += 1;
-    $("tubes").textContent = `${counts[0]} seen, ${counts[1]} predicted`;
+    $("tubes").textContent = `${counts[0]} seen + ${counts[1]}`;
     $("legend").textContent = `○ measured   ◌ predicted   ⊗ plugged ${counts[2]}   ▫ absent ${counts[3]}   ⌜⌟ target   + probe`;
     $("lock").textContent = head.lock;
     $("lock").parentElement.classList.toggle("warn", head.lock === "partial");
@@ -129,8 +129,8 @@ export class Readouts {
     $("identity").classList.toggle("approximate", named && Boolean(approximate));
     const view = said.rows_grow ? `seen from the bowl; ${said.naming === "line-row" ? "lines" : "columns"} grow ${said.columns_grow}, rows ${said.rows_grow}` : "seen from the bowl; handedness not set";
     const map = !named ? "not named: anchor a tube (A)" : said.map ? `map ${said.map.name}${approximate ? " (APPROXIMATE)" : ""}${a?.on_map === false ? ": NO SUCH TUBE ON IT" : ""}` : "no map";
-    const how = { nearest: "nearest to the guide · " }[this.state?.target] ?? "";
-    $("where").textContent = `${how}${map} · ${view} · ${said.generator}`;
+    const how = said.bands && this.state?.target === "nearest" ? "nearest to the guide · " : "";
+    $("where").textContent = `${how}${map} · ${view}`;
     $("identity").classList.toggle("warn", a?.on_map === false);
   }
 
