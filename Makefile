@@ -2,6 +2,9 @@
 # make test     set everything up and run all that must hold
 # make test-kernel  set everything up and test against real kernel devices, in a virtual machine where one can be had
 # make bench    measure side by side with OpenCV's finders, and cost, growth, specks and the service; prints Markdown
+# make faults   a million frames from a device that goes wrong all the time, each accounted for (FRAMES=1000000)
+# make soak     the live service for minutes: its memory, files and threads must not grow (MINUTES=3)
+# make figures  how soon frames, failures and stops are served on this machine; best run on an idle one
 # make install  the set-up alone
 
 PYTHON ?= python3
@@ -10,7 +13,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 PEERS  := $(VENV)/peers
 
-.PHONY: run test test-kernel install check pytest bench clean
+.PHONY: run test test-kernel faults soak figures install check pytest bench clean
 
 run: install
 	@$(BIN)/bowlsight demo
@@ -44,6 +47,20 @@ bench: install $(PEERS)
 $(PEERS): pyproject.toml constraints.txt
 	$(BIN)/pip install --quiet --disable-pip-version-check --no-deps --upgrade --constraint constraints.txt --target $@ opencv-contrib-python-headless
 	@touch $@
+
+FRAMES  ?= 1000000
+MINUTES ?= 3
+
+faults: install
+	$(BIN)/python -m tests.bench.faults $(FRAMES)
+
+soak: install
+	$(BIN)/python -m tests.bench.soak $(MINUTES)
+
+figures: install
+	$(BIN)/python -m tests.bench.capture
+	$(BIN)/python -m tests.bench.load
+	$(BIN)/python -m tests.bench.recovery
 
 clean:
 	rm -rf $(VENV) dist build .mypy_cache .ruff_cache .pytest_cache

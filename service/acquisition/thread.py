@@ -249,7 +249,7 @@ class AcquisitionThread:
     def _read_once(self) -> None:
         try:
             with self._calling("reading", READ_TIMEOUT_S):
-                frame = self._grabber.read(READ_TIMEOUT_S)
+                frame = self._grabber.read(self._patience_s())
         except TimeoutError:
             frame = None
         if frame is not None:
@@ -259,6 +259,12 @@ class AcquisitionThread:
             self._look()
         if frame is None:
             self._check_silence()
+
+    def _patience_s(self) -> float:
+        """How long to wait for a frame: no longer than until its absence is to be noticed."""
+        last_ns, limit_s = self._silence()
+        left_s = limit_s - (self._clock.monotonic_ns() - last_ns) / 1e9
+        return left_s if 0.0 < left_s < READ_TIMEOUT_S else READ_TIMEOUT_S
 
     def _take(self, frame: Frame) -> None:
         with self._owning:
@@ -279,15 +285,19 @@ class AcquisitionThread:
     # -- what goes wrong without an error ------------------------------------------------------------------------------
 
     def _check_silence(self) -> None:
-        last = self._intake.last
-        assert last is not None, "the stream began"
-        rate_hz = None if self.format is None else self.format.rate_hz
-        limit_s = silence_limit_s(self._settings, rate_hz, started=last.started)
-        if not is_stalled(self._clock.monotonic_ns(), last.time_ns, limit_s):
+        last_ns, limit_s = self._silence()
+        if not is_stalled(self._clock.monotonic_ns(), last_ns, limit_s):
             return
         self.state = AcquisitionState.STALLED
         if self._recovery is not None and not self._is_without_signal():
             raise DeviceTimeoutError(self._grabber.name, f"no frame for {limit_s:.1f} s")
+
+    def _silence(self) -> tuple[int, float]:
+        """Since when there is no frame, and how long that may be."""
+        last = self._intake.last
+        assert last is not None, "the stream began"
+        rate_hz = None if self.format is None else self.format.rate_hz
+        return last.time_ns, silence_limit_s(self._settings, rate_hz, started=last.started)
 
     def _is_without_signal(self) -> bool:
         """Whether the device says why it gives no frames: then it is well, and waits for its signal as we do."""
