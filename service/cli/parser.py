@@ -142,6 +142,12 @@ def _point(text: str) -> tuple[float, float]:
     return point
 
 
+def _with_sigma(text: str) -> tuple[float, float | None]:
+    """VALUE±SIGMA, or +- or +/- for those whose keyboard has no ±."""
+    value, mark, sigma = re.sub(r"\+/?-", "±", text).partition("±")
+    return _above_zero(value), _above_zero(sigma) if mark else None
+
+
 def _whole(minimum: int, maximum: int) -> Callable[[str], int]:
     def read(text: str) -> int:
         if not text.isascii() or not text.isdigit() or not minimum <= int(text) <= maximum:
@@ -167,9 +173,9 @@ def _rrd(text: str) -> Path:
 # -- options that several commands share -------------------------------------------------------------------------------
 
 
-def _generator(p: _Parser, *, required: bool) -> None:
-    default = "" if required else "; default: the station file's"
-    p.add_argument("--generator", metavar="NAME", required=required, help=f"steam generator: {GENERATORS}{default}")
+def _generator(p: _Parser, *, required: bool, default: str = "default: the station file's") -> None:
+    said = "" if required else f"; {default}"
+    p.add_argument("--generator", metavar="NAME", required=required, help=f"steam generator: {GENERATORS}{said}")
 
 
 def _camera(p: _Parser) -> None:
@@ -304,12 +310,39 @@ def _compare(p: _Parser) -> None:
 
 
 def _calibrate(p: _Parser) -> None:
-    p.add_argument("--points", metavar="FILE", type=Path, required=True, help='lines of "xw yw zw Xf Yf", mm and px')
     p.add_argument(
-        "--camera", metavar="FILE", type=Path, required=True, help="camera file: picture size and pixel pitch"
+        "paths",
+        metavar="PATH",
+        nargs="*",
+        type=Path,
+        help="pictures, videos, folders of pictures or recorded sessions that show the tubesheet from several tilts",
+    )
+    _generator(p, required=False, default="needed with PATH")
+    p.add_argument("--out", metavar="FILE", type=Path, help="camera file to write, with the covariance")
+    p.add_argument(
+        "--camera",
+        metavar="FILE",
+        type=Path,
+        help="camera file: picture size and pixel pitch, and what is known; values with a sigma are bettered",
     )
     p.add_argument(
-        "--method", choices=("tsai", "full"), default="tsai", help="Tsai's coplanar method, or all parameters"
+        "--range-mm",
+        metavar="VALUE[±SIGMA]",
+        type=_with_sigma,
+        help="distance of the camera from the sheet, along its normal, in the first picture; ± 2 unless given",
+    )
+    p.add_argument(
+        "--focal-length-mm",
+        metavar="VALUE[±SIGMA]",
+        type=_with_sigma,
+        help="focal length, as a lens or its maker tells it; ± 3 %% unless given",
+    )
+    _field_order(p)
+    p.add_argument(
+        "--points", metavar="FILE", type=Path, help='instead of PATH: lines of "xw yw zw Xf Yf", mm and px, for Tsai'
+    )
+    p.add_argument(
+        "--method", choices=("tsai", "full"), help="with --points: Tsai's coplanar method (default), or all parameters"
     )
     p.add_argument("--json", metavar="FILE|-", help="the figures as JSON; - for standard output, without the report")
 
@@ -396,8 +429,8 @@ COMMANDS: dict[str, tuple[str, str, Callable[[_Parser], None]]] = {
         _compare,
     ),
     "calibrate": (
-        "calibrate a camera from points whose places are known",
-        "--points points.dat --camera camera.toml --method full",
+        "calibrate a camera from pictures of the tubesheet itself, or from points whose places are known",
+        "installation.mkv --generator model-f --out camera.toml",
         _calibrate,
     ),
     "align-setup": (

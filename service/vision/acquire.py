@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import cv2
 import numpy as np
 
-from service.vision.detection import DISC_RADIUS_PX, find_blobs
+from service.vision.detection import DISC_RADIUS_PX, Blobs, find_blobs
 from service.vision.indexing import UNINDEXED, index_blobs
 from service.vision.motion import looked_at
 from service.vision.pose import Fit, fit_pose, pose_from_plane, prior_of
@@ -58,11 +58,14 @@ class Candidate:
         Rim radius along x in the picture's middle, under that pose.
     indexed
         How many blobs it explains.
+    blobs
+        All blobs of that scale.
     """
 
     fit: Fit
     radius_px: float
     indexed: int
+    blobs: Blobs
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,7 +73,7 @@ class _Level:
     """Blobs of one scale, indexed."""
 
     radius_px: float
-    center_px: Array
+    blobs: Blobs
     index: NDArray[np.int64]
     merit: float
 
@@ -106,6 +109,8 @@ def _radii(image: Image, camera: Camera) -> list[float]:
     """Rim radii to try, largest first: their pictures are the smallest."""
     h, w = image.shape
     largest = LARGEST * min(w, h * _height_of_pixel(camera))
+    if largest < SMALLEST_PX / LEVEL:
+        return []
     count = max(1, math.floor(math.log(largest / SMALLEST_PX) / math.log(LEVEL)))
     return [largest / LEVEL**k for k in range(count + 1)]
 
@@ -131,18 +136,19 @@ def _indexed_blobs(
     watch.lap("lattice")
     if count < LEAST_INDEXED:
         return []
-    return [_Level(radius_px, center, index, count * (count / len(center)) ** 2)]
+    return [_Level(radius_px, Blobs(center, blobs.response), index, count * (count / len(center)) ** 2)]
 
 
 def _fitted(levels: list[_Level], camera: Camera, lattice: Lattice, watch: Stopwatch) -> Iterator[Candidate]:
     for level in levels:
-        fit = _fit_lattice(level.center_px, level.index, camera, lattice, level.radius_px)
+        fit = _fit_lattice(level.blobs.center_px, level.index, camera, lattice, level.radius_px)
         watch.lap("pose")
         if fit is None:
             continue
         v = fit.camera.vector()
         depth = float(fit.rotation[2, :2] @ looked_at(fit.rotation, fit.translation_mm) + fit.translation_mm[2])
-        yield Candidate(fit, lattice.rim_radius_mm * v[0] / depth, int((fit.weight > 0).sum()))
+        radius_px = lattice.rim_radius_mm * v[0] / depth
+        yield Candidate(fit, radius_px, int((fit.weight > 0).sum()), level.blobs)
 
 
 class _Pyramid:

@@ -13,6 +13,7 @@ from service.vision.rims import measure_rims
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from service.vision.detection import Blobs
     from service.vision.lattice import Lattice
     from service.vision.refinement import Refined
 
@@ -28,6 +29,9 @@ MOST_DECOYS = 0.2
 """Most tubes that may be "seen" between the tubes, as a share of those seen in their places."""
 ALIKE = 0.6
 """A decoy counts as a tube where its edge has this share of the height of the edge of the tube beside it."""
+STRONG, ASIDE, MOST_STRANGERS = 0.8, 0.2, 0.25
+"""Most blobs, of those about as dark as the tubes measured, that may stand so many pitches off every place: a pattern
+that fits the lattice in a corner of the picture only leaves a third or more, glare and hoses at most a sixth."""
 MOST_STRAY = 3.0
 """Most that centres may stray beyond what they and the tubes' scatter explain."""
 MOST_OFFSET = 0.3
@@ -44,17 +48,20 @@ class Proof:
         Tubes measured, of the places that lie in the picture.
     decoys
         Tubes that the same test would find between the places, of those measured: on a wrong lattice, many.
+    strangers
+        Blobs on no lattice place, of those about as dark as the tubes measured: on a wrong lattice, many.
     reason
         None, or in words why it is not believed.
     """
 
     share: float
     decoys: float
+    strangers: float
     reason: str | None
 
 
-def prove(image: Image, refined: Refined, lattice: Lattice) -> Proof:
-    """Test a refined pose against the picture, between the tubes as well as on them."""
+def prove(image: Image, refined: Refined, lattice: Lattice, blobs: Blobs) -> Proof:
+    """Test a refined pose against the picture and its blobs, between the tubes as well as on them."""
     fit = refined.fit
     vector = fit.camera.vector()
     measured = int(refined.used.sum())
@@ -69,17 +76,29 @@ def prove(image: Image, refined: Refined, lattice: Lattice) -> Proof:
         rims = measure_rims(image, vector, fit.rotation, fit.translation_mm, places, lattice, refined.common.profile)
         alike = (rims.gain > ALIKE * gain) & (rims.bore < bore + (1 - ALIKE) * gain)  # as dark as the tube beside it
         found = max(found, int((accepted(rims, refined.common.profile.width_px, usual) & alike).sum()))
-    decoys = found / measured
-    return Proof(share, decoys, _reason(refined, lattice, measured, share, decoys))
+    decoys, strangers = found / measured, _strangers(refined, lattice, blobs)
+    fits = decoys <= MOST_DECOYS and strangers <= MOST_STRANGERS
+    return Proof(share, decoys, strangers, _reason(refined, lattice, measured, share, fits=fits))
 
 
-def _reason(refined: Refined, lattice: Lattice, measured: int, share: float, decoys: float) -> str | None:
+def _strangers(refined: Refined, lattice: Lattice, blobs: Blobs) -> float:
+    """Share of the dark blobs that stand on no lattice place; 0 where no blob shows how dark tubes are."""
+    pitch_px = lattice.pitch_mm * np.median(np.linalg.norm(refined.place[:, :, :2], axis=2), axis=0)
+    aside = np.linalg.norm((blobs.center_px[:, None] - refined.predicted_px[None]) / pitch_px, axis=2)
+    tubes = (aside[:, refined.used] < ASIDE).any(axis=1)
+    if not tubes.any():
+        return 0.0
+    dark = blobs.response > STRONG * np.median(blobs.response[tubes])
+    return float((aside[dark].min(axis=1) > ASIDE).mean())
+
+
+def _reason(refined: Refined, lattice: Lattice, measured: int, share: float, *, fits: bool) -> str | None:
     radius_px = lattice.rim_radius_mm * float(np.median(np.linalg.norm(refined.place[:, 0, :2], axis=1)))
     if measured < LEAST_TUBES:
         return f"only {measured} tubes are seen"
     if share < LEAST_SHARE:
         return f"only {100 * share:.0f} % of the tubes are seen"
-    if decoys > MOST_DECOYS:
+    if not fits:
         return "the pattern does not fit the tube lattice"
     if refined.fit.scatter_factor > MOST_STRAY:
         return "tube centres do not fit the lattice"

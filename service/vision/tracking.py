@@ -198,7 +198,7 @@ class Tracker:
                 parity=parity,
             )  # fmt: skip
             if refined is not None:
-                proof = prove(image, refined, self.lattice)
+                proof = prove(image, refined, self.lattice, candidate.blobs)
                 watch.lap("lattice")
                 if proof.reason is not None:
                     reason = proof.reason
