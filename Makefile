@@ -2,6 +2,7 @@
 # make test     set everything up and run all that must hold
 # make test-kernel  set everything up and test against real kernel devices, in a virtual machine where one can be had
 # make bench    measure side by side with OpenCV's finders, and cost, growth, specks and the service; prints Markdown
+# make test-wheel   install the wheel as a user does and run every command, from another folder
 # make faults   a million frames from a device that goes wrong all the time, each accounted for (FRAMES=1000000)
 # make soak     the live service for minutes: its memory, files and threads must not grow (MINUTES=3)
 # make figures  how soon frames, failures and stops are served on this machine; best run on an idle one
@@ -13,7 +14,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 PEERS  := $(VENV)/peers
 
-.PHONY: run test test-kernel faults soak figures install check pytest bench clean
+.PHONY: run test test-kernel faults soak figures test-wheel install check pytest bench clean
 
 run: install
 	@$(BIN)/bowlsight demo
@@ -39,6 +40,9 @@ pytest: install
 
 test-kernel: install
 	$(BIN)/python -m tests.kernel.run
+
+test-wheel: install
+	$(BIN)/python -m tests.wheel.run
 
 bench: install $(PEERS)
 	@PYTHONPATH=$(PEERS) $(BIN)/python -m tests.bench $(ARGS)
