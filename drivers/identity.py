@@ -65,7 +65,7 @@ class VideoNode:
 
 def video_nodes(sysfs: Path = SYSFS) -> list[VideoNode]:
     """Video nodes of the kernel, in the order of their numbers. Not all are for capture."""
-    found = [_Seen.at(folder) for folder in (sysfs / "class/video4linux").glob("video*")]
+    found = [_Seen.at(folder) for folder in _entries(sysfs / "class/video4linux", "video*")]
     places: dict[str, list[_Seen]] = defaultdict(list)
     for seen in found:
         places[seen.place].append(seen)
@@ -124,7 +124,9 @@ class UsbDevice:
 
 def usb_video_devices(sysfs: Path = SYSFS) -> list[UsbDevice]:
     """USB devices with a video interface, in the order of bus and address."""
-    folders = [folder.resolve() for folder in (sysfs / "bus/usb/devices").glob("[0-9]*-*") if ":" not in folder.name]
+    folders = [
+        _resolved(folder) for folder in _entries(sysfs / "bus/usb/devices", "[0-9]*-*") if ":" not in folder.name
+    ]
     found = [device for device in map(_usb_device, folders) if device is not None]
     owners = Counter(device.serial for device in found)
     unique = (replace(d, identity=d.serial) if d.serial and owners[d.serial] == 1 else d for d in found)
@@ -137,13 +139,13 @@ def find_usb_devices(identity: str, sysfs: Path = SYSFS) -> list[UsbDevice]:
 
 
 def _usb_device(folder: Path) -> UsbDevice | None:
-    interfaces = [i for i in sorted(folder.glob("*:*")) if _read(i / "bInterfaceClass") == VIDEO_CLASS]
+    interfaces = [i for i in sorted(_entries(folder, "*:*")) if _read(i / "bInterfaceClass") == VIDEO_CLASS]
     bus, address = _read(folder / "busnum"), _read(folder / "devnum")
     if not interfaces or not bus.isdecimal() or not address.isdecimal():
         return None
     place, model = _usb_place(folder), f"{_read(folder / 'idVendor')}:{_read(folder / 'idProduct')}"
     name = " ".join(filter(None, (_read(folder / "manufacturer"), _read(folder / "product")))) or model
-    drivers = [(i / "driver").resolve().name for i in interfaces if (i / "driver").exists()]
+    drivers = [_resolved(i / "driver").name for i in interfaces if (i / "driver").exists()]
     return UsbDevice(
         node=f"/dev/bus/usb/{int(bus):03}/{int(address):03}",
         name=name,
@@ -165,7 +167,7 @@ class _Seen:
 
     @classmethod
     def at(cls, folder: Path) -> _Seen:
-        hardware = (folder / "device").resolve()
+        hardware = _resolved(folder / "device")
         name, index = _read(folder / "name") or folder.name, _read(folder / "index")
         order = (hardware.name, int(index) if index.isdecimal() else 0)
         usb = _climb(hardware, lambda at: (at / "idVendor").exists())
@@ -186,17 +188,33 @@ def _usb_place(usb: Path) -> str:
     root = _climb(usb, lambda at: re.fullmatch(r"usb\d+", at.name) is not None)
     if root is None:
         return f"path-usb-{usb.name}"
-    hubs = sorted((hub.name for hub in root.parent.glob("usb*")), key=lambda name: (len(name), name))
+    hubs = sorted({root.name, *(hub.name for hub in _entries(root.parent, "usb*"))}, key=lambda name: (len(name), name))
     return f"path-{_on_bus(root.parent)}-usb-{hubs.index(root.name)}:{ports}"
 
 
 def _on_bus(hardware: Path) -> str:
     bus = hardware / "subsystem"
-    return f"{bus.resolve().name}-{hardware.name}" if bus.exists() else hardware.name
+    return f"{_resolved(bus).name}-{hardware.name}" if bus.exists() else hardware.name
 
 
 def _climb(start: Path, there: Callable[[Path], bool]) -> Path | None:
     return next((at for at in (start, *start.parents) if there(at)), None)
+
+
+def _entries(folder: Path, pattern: str) -> list[Path]:
+    """What a folder holds; nothing where it goes away meanwhile, as on an unplug."""
+    try:
+        return list(folder.glob(pattern))
+    except OSError:
+        return []
+
+
+def _resolved(path: Path) -> Path:
+    """Follow a link; as it is where it goes away meanwhile."""
+    try:
+        return path.resolve()
+    except OSError:
+        return path
 
 
 def _read(path: Path) -> str:

@@ -68,7 +68,8 @@ class OpenCvGrabber(Grabber):
     device
         A number as OpenCV counts cameras, an identity as `drivers.identity` gives it, or a device node.
     size_px, encoding, rate_hz
-        What to ask for: width and height, a four-character code, frames a second. None: as the device has it.
+        What to ask for: width and height, a four-character code, frames a second. None: as OpenCV has it,
+        which asks for 640x480.
     field_mode
         Woven frames, or fields: whether pictures are woven, OpenCV does not tell.
     name
@@ -203,6 +204,8 @@ class OpenCvGrabber(Grabber):
         self._least_age_ns: float = math.inf
         self._wanted_from_ns = self._last_taken_ns = self.clock.monotonic_ns()
         self._kept = True
+        # a change of settings leaves Video4Linux streaming with no buffer to fill, which a first plain call sets right
+        self._grab_and_retrieve()
 
     def _do_stop(self) -> None:
         """Read no more. OpenCV goes on; what it has kept is passed over when it is started again."""
@@ -222,22 +225,22 @@ class OpenCvGrabber(Grabber):
             if self._owed < 1:
                 self.clock.sleep(timeout_s)
                 raise DeviceTimeoutError(self.name, f"no frame within {timeout_s:g} s")
-            stamp_ns = self._take_fresh(deadline_ns, timeout_s)
-            self._hand_over(self._picture(), stamp_ns)
+            picture, stamp_ns = self._take_fresh(deadline_ns, timeout_s)
+            self._hand_over(picture, stamp_ns)
         return self._pending.popleft()
 
-    def _take_fresh(self, deadline_ns: int, timeout_s: float) -> int | None:
-        """Take the next picture that is not old; gives when it was taken, None where that is not told."""
+    def _take_fresh(self, deadline_ns: int, timeout_s: float) -> tuple[Any, int | None]:
+        """Take the next picture that is not old, and when it was taken; None where that is not told."""
         for _ in range(MOST_PASSED_OVER):
             began_ns = self.clock.monotonic_ns()
-            self._take(deadline_ns, timeout_s)
+            picture = self._take(deadline_ns, timeout_s)
             now_ns = self.clock.monotonic_ns()
             stamp_ns = self._stamp_ns(now_ns)
             if self._is_fresh(stamp_ns, began_ns, now_ns):
                 break
             self._suspect()
         self._last_taken_ns, self._kept = now_ns, False
-        return stamp_ns
+        return picture, stamp_ns
 
     def _is_fresh(self, stamp_ns: int | None, began_ns: int, now_ns: int) -> bool:
         """By its own time; without one, what comes at once after a pause, a start or a trigger had been waiting."""
@@ -248,19 +251,24 @@ class OpenCvGrabber(Grabber):
         paused = self._kept or began_ns - self._last_taken_ns > STALE_PERIODS * self._period_ns
         return not paused or now_ns - began_ns > self._period_ns // 4
 
-    def _take(self, deadline_ns: int, timeout_s: float) -> None:
-        capture = self._capture
-        assert capture is not None, "streaming"
+    def _take(self, deadline_ns: int, timeout_s: float) -> Any:
+        """Wait for a picture and take it as OpenCV gives it, None where that could not decode it."""
         try:
             if self._waits:
                 left_ns = max(1, deadline_ns - self.clock.monotonic_ns())
-                if not type(capture).waitAny([capture], left_ns)[0]:
+                if not type(self._capture).waitAny([self._capture], left_ns)[0]:  # type: ignore[union-attr]
                     raise DeviceTimeoutError(self.name, f"no frame within {timeout_s:g} s")
-            grabbed = capture.grab()
         except cv2.error as error:
             raise self._gone_or_broken(error.err or "OpenCV gave up") from error
-        if not grabbed:
+        return self._grab_and_retrieve()
+
+    def _grab_and_retrieve(self) -> Any:
+        """Take a picture; each is retrieved, for until then OpenCV gives the same one again."""
+        assert self._capture is not None, "streaming"
+        if not self._capture.grab():
             raise self._gone_or_broken("it gives no picture any more")
+        there, picture = self._capture.retrieve()
+        return picture if there else None
 
     def _gone_or_broken(self, why: str) -> DeviceError:
         if self._waits and not self._node.exists():
@@ -274,31 +282,36 @@ class OpenCvGrabber(Grabber):
         stamp_ns = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6) if self._waits else 0
         return stamp_ns if stamp_ns > 0 and abs(now_ns - stamp_ns) < OLDEST_STAMP_NS else None
 
-    def _picture(self) -> Pixels:
-        """Copy the luma of what was taken; raises DeviceProtocolError for what is none of the pictures agreed on."""
-        assert self._capture is not None, "streaming"
-        there, picture = self._capture.retrieve()
-        if not there or picture is None:
-            raise self._gone_or_broken("it gives a picture that cannot be decoded")
-        expected = (self._granted.height_px, self._granted.width_px)
+    def _luma(self, picture: Any) -> tuple[Pixels, str | None]:
+        """Copy the luma of a picture; black where there is none, and what is wrong with it.
+
+        Raises
+        ------
+        DeviceProtocolError
+            It is none of the pictures agreed on.
+        """
+        memory, expected = self._pool.take(), (self._granted.height_px, self._granted.width_px)
+        if picture is None:
+            memory.fill(0)
+            return read_only(memory), "cannot be decoded"
         if picture.dtype != np.uint8 or picture.shape[:2] != expected:
             raise DeviceProtocolError(
                 self.name,
                 f"gives {picture.dtype} pictures of {picture.shape[1]}x{picture.shape[0]} px instead of"
                 f" {expected[1]}x{expected[0]}; close it and open it again",
             )
-        memory = self._pool.take()
         if picture.ndim == 3 and picture.shape[2] == 3:
             cv2.cvtColor(picture, cv2.COLOR_BGR2GRAY, memory)
         else:
             np.copyto(memory, picture.reshape(*expected, -1)[..., 0])
-        return read_only(memory)
+        return read_only(memory), None
 
-    def _hand_over(self, pixels: Pixels, stamp_ns: int | None) -> None:
+    def _hand_over(self, picture: Any, stamp_ns: int | None) -> None:
         received_ns = self.clock.monotonic_ns()
-        repeated = self._repeats(pixels, stamp_ns)
-        if repeated:
+        pixels, defect = self._luma(picture)
+        if self._repeats(pixels, stamp_ns):
             self._suspect()
+            defect = defect or "repeats the picture before it"
         frame = Frame(
             pixels=pixels,
             sequence=None,
@@ -308,7 +321,7 @@ class OpenCvGrabber(Grabber):
             pixel_format=PixelFormat.MONO8,
             source=self.name,
             generation=self.generation,
-            defect="repeats the picture before it" if repeated else None,
+            defect=defect,
         )
         self._owed -= 1
         field_ns = self._period_ns // 2

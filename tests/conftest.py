@@ -10,6 +10,9 @@ from hypothesis import HealthCheck, settings
 
 SHARED = Path(os.environ.get("BOWLSIGHT_SHARED", Path(__file__).resolve().parents[2] / "shared"))
 
+LASTING = {"usbip"}
+"""Threads of what tests share for the whole session."""
+
 # A busy machine is slow; that is no fault of what is tested.
 settings.register_profile("bowlsight", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("bowlsight")
@@ -29,7 +32,7 @@ def no_thread_left_running():
     before = set(threading.enumerate())
     yield
     deadline = time.monotonic() + 2.0
-    while left := [t for t in threading.enumerate() if t not in before and t.is_alive()]:
+    while left := [t for t in threading.enumerate() if t not in before and t.is_alive() and t.name not in LASTING]:
         if time.monotonic() > deadline:
             pytest.fail(f"threads left running: {', '.join(t.name for t in left)}")
         left[0].join(0.05)

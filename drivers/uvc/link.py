@@ -161,7 +161,9 @@ def _device_of(seen: UsbDevice, name: str, backend: Any | None) -> Any:
     with usb_told(name, "cannot be looked for", seen.node):
         device = usb.core.find(backend=backend, bus=bus, address=address)
     if device is None:
-        raise DeviceNotFoundError(name, f"the system shows it at {seen.node}, libusb does not; plug it in anew")
+        raise DeviceNotFoundError(
+            name, f"the system shows it at {seen.node}, libusb does not yet; try again, or plug it in anew"
+        )
     return device
 
 

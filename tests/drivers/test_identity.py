@@ -1,5 +1,7 @@
 """Video devices are known by what survives a replug."""
 
+from pathlib import Path
+
 import pytest
 
 from drivers.identity import find_usb_devices, find_video_nodes, usb_video_devices, video_nodes
@@ -106,3 +108,16 @@ def test_usb_twins_are_known_by_place_and_what_serves_them_is_told(tmp_path):
         ("path-pci-0000:00:14.0-usb-0:3", ""),
     ]
     assert len(find_usb_devices("usb-1209:0001-SN1", tmp_path)) == 2
+
+
+def test_a_usb_device_that_goes_away_while_it_is_looked_at_is_left_out(tmp_path, monkeypatch):
+    plug_in(tmp_path, Plugged(FakeUvcDevice()))
+    look = Path.glob
+
+    def gone(folder, pattern):
+        if pattern == "*:*":
+            raise FileNotFoundError(folder)
+        return look(folder, pattern)
+
+    monkeypatch.setattr(Path, "glob", gone)
+    assert usb_video_devices(tmp_path) == []

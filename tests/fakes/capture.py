@@ -40,6 +40,8 @@ class FakeVideoCapture:
         self.released = 0
         self.began_ns = self.last = None
         self.broken = False
+        self.grabbed = False
+        """Until what was grabbed is retrieved, nothing else is."""
         self.ticks = 0
         self.kept: deque[tuple[int, int]] = deque()
 
@@ -48,7 +50,7 @@ class FakeVideoCapture:
 
     def release(self):
         self.released += 1
-        self.broken = False
+        self.broken = self.grabbed = False
         self.began_ns = None
         self.kept.clear()
 
@@ -91,24 +93,26 @@ class FakeVideoCapture:
         fake._catch_up()
         if fake.faults.get(fake.ticks) == "raises":
             raise cv2.error("Error is reported by camera stream: 0")
-        if not fake.kept and not fake.broken and fake.next_ns() - fake.clock.now_ns > timeout_ns:
+        if not fake.grabbed and not fake.kept and not fake.broken and fake.next_ns() - fake.clock.now_ns > timeout_ns:
             fake.clock.now_ns += timeout_ns
             return False, []
-        if not fake.kept:
-            fake.clock.now_ns = fake.next_ns()
+        fake.grab()
         return True, [0]
 
     def grab(self):
+        if self.grabbed:
+            return True
         self._catch_up()
         if not self.kept and not self.broken:
             self.clock.now_ns = self.next_ns()
             self._catch_up()
         if self.broken and not self.kept:
             return False
-        self.last = self.kept.popleft()
+        self.last, self.grabbed = self.kept.popleft(), True
         return True
 
     def retrieve(self):
+        self.grabbed = False
         fault = self.faults.get(self.last[0])
         if fault == "undecodable":
             return False, None

@@ -1,10 +1,8 @@
 """Every fault that vivid can be told to have, and pulling it out while it streams."""
 
-import gc
 import itertools
 import threading
 import time
-from pathlib import Path
 
 import pytest
 
@@ -17,25 +15,7 @@ from drivers.errors import (
 )
 from drivers.grabber import GrabberState
 from drivers.sequence import SEQUENCE_NUMBERS
-from tests.kernel.conftest import reopened
-
-
-def streaming(grabber):
-    grabber.open().start()
-    grabber.read(10.0)
-    return grabber
-
-
-def read_until(grabber, error, seconds=20.0):
-    """Read on until an error is raised."""
-    deadline = time.monotonic() + seconds
-    try:
-        while time.monotonic() < deadline:
-            grabber.read(1.0)
-    except error:
-        return
-    pytest.fail(f"no {error.__name__} within {seconds:g} s")
-
+from tests.kernel.conftest import read_until, reopened, streaming, twenty_replugs
 
 # -- frames ------------------------------------------------------------------------------------------------------------
 
@@ -170,26 +150,7 @@ def test_a_device_pulled_out_is_noticed_and_found_again(vivid, grabber, measured
 
 
 def test_twenty_replugs_while_it_streams_leave_nothing_behind(vivid, grabber):
-    def round_():
-        streaming(grabber)
-        vivid.unplug()
-        read_until(grabber, DeviceDisconnectedError)
-        grabber.close()
-        vivid.plug()
-
-    def left():
-        gc.collect()
-        pages = int(Path("/proc/self/statm").read_text().split()[1])
-        return len(list(Path("/proc/self/fd").iterdir())), threading.active_count(), pages * 4096
-
-    for _ in range(3):
-        round_()
-    descriptors, threads, memory = left()
-    for _ in range(20):
-        round_()
-    assert left()[:2] == (descriptors, threads)
-    assert left()[2] - memory < 4e6
-    assert reopened(grabber).grab(10.0).generation == grabber.generation
+    assert twenty_replugs(grabber, vivid.unplug, vivid.plug) < 4e6
 
 
 def test_stop_and_close_end_soon_from_every_state(vivid, grabber):
