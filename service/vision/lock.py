@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from service.vision.indexing import STEPS
 from service.vision.refinement import accepted
 from service.vision.rims import measure_rims
 
@@ -32,6 +33,13 @@ ALIKE = 0.6
 STRONG, ASIDE, MOST_STRANGERS = 0.8, 0.2, 0.25
 """Most blobs, of those about as dark as the tubes measured, that may stand so many pitches off every place: a pattern
 that fits the lattice in a corner of the picture only leaves a third or more, glare and hoses at most a sixth."""
+LEAST_COMPANY = 0.3
+"""Least share of the measured tubes' neighbours that are measured too. Light and hoses hide whole regions, and leave
+0.6; on a lattice too fine by the root of 2 or 3, or by 2, tubes have no neighbours."""
+NEIGHBOURS = {6: STEPS[6], 4: STEPS[4][:4]}
+"""(row, column) steps to the nearest places."""
+FAR = 1 << 32
+"""More than any column: one number for row and column."""
 MOST_STRAY = 3.0
 """Most that centres may stray beyond what they and the tubes' scatter explain."""
 MOST_OFFSET = 0.3
@@ -50,6 +58,8 @@ class Proof:
         Tubes that the same test would find between the places, of those measured: on a wrong lattice, many.
     strangers
         Blobs on no lattice place, of those about as dark as the tubes measured: on a wrong lattice, many.
+    company
+        Neighbours of the measured tubes that are measured too: on a lattice too fine, hardly any.
     reason
         None, or in words why it is not believed.
     """
@@ -57,6 +67,7 @@ class Proof:
     share: float
     decoys: float
     strangers: float
+    company: float
     reason: str | None
 
 
@@ -76,9 +87,9 @@ def prove(image: Image, refined: Refined, lattice: Lattice, blobs: Blobs) -> Pro
         rims = measure_rims(image, vector, fit.rotation, fit.translation_mm, places, lattice, refined.common.profile)
         alike = (rims.gain > ALIKE * gain) & (rims.bore < bore + (1 - ALIKE) * gain)  # as dark as the tube beside it
         found = max(found, int((accepted(rims, refined.common.profile.width_px, usual) & alike).sum()))
-    decoys, strangers = found / measured, _strangers(refined, lattice, blobs)
-    fits = decoys <= MOST_DECOYS and strangers <= MOST_STRANGERS
-    return Proof(share, decoys, strangers, _reason(refined, lattice, measured, share, fits=fits))
+    decoys, strangers, company = found / measured, _strangers(refined, lattice, blobs), _company(refined, lattice)
+    fits = decoys <= MOST_DECOYS and strangers <= MOST_STRANGERS and company >= LEAST_COMPANY
+    return Proof(share, decoys, strangers, company, _reason(refined, lattice, measured, share, fits=fits))
 
 
 def _strangers(refined: Refined, lattice: Lattice, blobs: Blobs) -> float:
@@ -90,6 +101,15 @@ def _strangers(refined: Refined, lattice: Lattice, blobs: Blobs) -> float:
         return 0.0
     dark = blobs.response > STRONG * np.median(blobs.response[tubes])
     return float((aside[dark].min(axis=1) > ASIDE).mean())
+
+
+def _company(refined: Refined, lattice: Lattice) -> float:
+    """Share of the places next to measured tubes, as far as they are in the picture, that are measured too."""
+    place = refined.sites.row * FAR + refined.sites.column
+    tubes = place[refined.used]
+    beside = np.concatenate([tubes + row * FAR + column for row, column in NEIGHBOURS[lattice.arrangement.symmetry]])
+    beside = beside[np.isin(beside, place)]
+    return float(np.isin(beside, tubes).mean()) if len(beside) else 0.0
 
 
 def _reason(refined: Refined, lattice: Lattice, measured: int, share: float, *, fits: bool) -> str | None:
