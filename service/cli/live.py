@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LiveRun", "prepare_kernels", "watch"]
 
-PREPARING = "preparing the measuring kernels; the first time after an installation this takes up to a minute"
+PREPARING = "preparing the measuring kernels; the first time after an installation this takes about a minute"
 REFRESH_S = 0.2
 FLUSH_S = 10.0
 """How long sinks may take to flush when nobody asked for a stop."""
@@ -72,6 +72,8 @@ class LiveRun:
         What may be recorded; None: nothing can be.
     sinks
         What else gets the results.
+    check
+        Holds results against what the instruments said when they were recorded; None: against `instruments`, if any.
     health
         Who is told how the service does.
     console
@@ -92,6 +94,7 @@ class LiveRun:
     supervision: Supervision | None = None
     recording: RecordingChoice | None = None
     sinks: Sequence[Sink] = ()
+    check: CrossCheck | None = None
     health: HealthSettings = field(default_factory=HealthSettings)
     console: ConsoleSettings = field(default_factory=ConsoleSettings)
     instruments: Instruments | None = None
@@ -129,7 +132,7 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         field=live.measuring.field_order.field,
         oldest_s=None if live.every_frame else live.measuring.oldest_frame_ms / 1e3,
         interpreter=interpreter,
-        check=None if live.instruments is None else CrossCheck(live.instruments.readings, tell),
+        check=live.check or (None if live.instruments is None else CrossCheck(live.instruments.readings, tell)),
         kind=live.kind,
         supervision=live.supervision,
         tell=tell,
@@ -222,4 +225,5 @@ def _conclude(service: LiveService, recorder: SessionRecorder | None, ended_by: 
         say(f"{stuck} did not stop in time and was left behind")
     if service.failure is not None:
         say(str(service.failure))
-    return int(service.failure is not None or bool(service.stuck) or not health.account.balanced())
+    unwell = service.failure is not None or bool(service.stuck) or not health.account.balanced()
+    return int(unwell or (recorder is not None and recorder.state.failure is not None))
