@@ -251,8 +251,8 @@ def left_open() -> tuple[int, int, int]:
     return len(list(Path("/proc/self/fd").iterdir())), threading.active_count(), pages * 4096
 
 
-def twenty_replugs(grabber, unplug, plug) -> int:
-    """Pull it out twenty times while it streams; gives how much memory that left behind. Nothing else may be."""
+def replugged(grabber, unplug, plug, times: int) -> int:
+    """Pull it out many times while it streams; gives how much memory that left behind. Nothing else may be."""
 
     def round_():
         reopened(grabber).start().read(10.0)
@@ -264,7 +264,7 @@ def twenty_replugs(grabber, unplug, plug) -> int:
     for _ in range(3):
         round_()
     descriptors, threads, memory = left_open()
-    for _ in range(20):
+    for _ in range(times):
         round_()
     found = left_open()
     assert found[:2] == (descriptors, threads)

@@ -15,7 +15,7 @@ from drivers.errors import (
 )
 from drivers.grabber import GrabberState
 from drivers.sequence import SEQUENCE_NUMBERS
-from tests.kernel.conftest import read_until, reopened, streaming, twenty_replugs
+from tests.kernel.conftest import read_until, reopened, replugged, streaming
 
 # -- frames ------------------------------------------------------------------------------------------------------------
 
@@ -49,6 +49,16 @@ def test_numbers_go_on_past_their_wrap(vivid, grabber):
     assert numbers[0] < SEQUENCE_NUMBERS
     assert all(0 <= b - a < 60 for a, b in itertools.pairwise(numbers))
     assert len(set(numbers)) + grabber.counters.lost == numbers[-1] - numbers[0] + 1
+
+
+@pytest.mark.parametrize("bits", [1, 2], ids=["64 bit", "32 bit"])
+def test_times_of_another_clock_are_not_believed(vivid, grabber, bits):
+    vivid.set("Wrap Timestamp", bits)
+    grabber.open().start()
+    frames = [grabber.read(10.0) for _ in range(8)]
+    vivid.set("Wrap Timestamp", 0)
+    assert {f.received_ns - f.timestamp_ns for f in frames} == {20_000_000}, "when it came, less the second field"
+    assert {f.defect for f in frames} == {None}
 
 
 def test_a_reader_who_pauses_gets_the_oldest_frames_or_the_newest_as_asked(vivid):
@@ -150,7 +160,7 @@ def test_a_device_pulled_out_is_noticed_and_found_again(vivid, grabber, measured
 
 
 def test_twenty_replugs_while_it_streams_leave_nothing_behind(vivid, grabber):
-    assert twenty_replugs(grabber, vivid.unplug, vivid.plug) < 4e6
+    assert replugged(grabber, vivid.unplug, vivid.plug, times=20) < 4e6
 
 
 def test_stop_and_close_end_soon_from_every_state(vivid, grabber):

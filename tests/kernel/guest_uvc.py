@@ -17,7 +17,7 @@ from drivers.grabber import GrabberState
 from drivers.identity import find_usb_devices, find_video_nodes
 from drivers.opening import bus_reset, open_grabber
 from tests.fakes.uvc import number_in, numbered
-from tests.kernel.conftest import USB, read_until, reopened, settled, streaming, twenty_replugs
+from tests.kernel.conftest import USB, read_until, reopened, replugged, settled, streaming
 
 
 @pytest.fixture
@@ -145,7 +145,7 @@ def test_a_reset_of_the_bus_ends_the_stream_and_it_comes_back(grabber, measured)
 
 
 def test_twenty_replugs_while_it_streams_leave_nothing_behind(usb_socket, grabber, measured):
-    memory = twenty_replugs(grabber, usb_socket.unplug, usb_socket.plug)
+    memory = replugged(grabber, usb_socket.unplug, usb_socket.plug, times=20)
     measured(f"20 replugs: {memory / 1e6:+.2f} MB")
     assert memory < 4e6
 

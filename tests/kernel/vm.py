@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from ctypes.util import find_library
 from pathlib import Path
 
 CACHE = Path(os.environ.get("BOWLSIGHT_VM_CACHE") or Path.home() / ".cache/bowlsight/vm")
@@ -183,6 +184,8 @@ def requirements() -> tuple[str, Path, Kernel]:
         raise UnavailableError(f"{busybox} is not static (Debian package busybox-static)")
     for needed, package in (("modprobe", "kmod"), ("udevadm", "udev")):
         tool(needed, package)
+    if find_library("usb-1.0") is None:
+        raise UnavailableError("libusb is not installed (Debian package libusb-1.0-0)")
     return qemu, busybox, Kernel.get()
 
 
