@@ -23,6 +23,8 @@ __all__ = ["search_shift"]
 TUBES = 32
 STEPS = 6
 """Steps to each side: half a pitch, beyond which the neighbouring tube answers as well."""
+REACH = 1.15
+"""How far that is at the most, in half pitches: the corners of a lattice cell, not those of the square of steps."""
 POINTS = 12
 """Points inside and outside of a rim that are compared."""
 
@@ -50,6 +52,8 @@ def search_shift(
     outside = circle * (0.5 * (lattice.rim_radius_mm + 0.5 * lattice.pitch_mm))
     score = np.zeros((2 * STEPS + 1, 2 * STEPS + 1))
     _scores(image, center, place, inside, outside, step, score)
+    along = np.arange(-STEPS, STEPS + 1)
+    score[np.hypot(along, along[:, None]) > REACH * STEPS] = -np.inf
     i, j = np.unravel_index(int(np.argmax(score)), score.shape)
     shift = np.array([(int(j) - STEPS) * step, (int(i) - STEPS) * step])
     return np.asarray(translation_mm + rotation[:, :2] @ shift, np.float64)

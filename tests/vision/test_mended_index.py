@@ -7,7 +7,7 @@ from drivers.scene import CLEAN
 from service.vision.evidence import Verdict
 from service.vision.motion import Motion
 from service.vision.stopwatch import Stopwatch
-from service.vision.tracking import CHECK_EVERY, Tracker
+from service.vision.tracking import Tracker
 from tests.scenes.rendered import PERIOD_NS, looking, sheet_of, view
 
 
@@ -25,15 +25,17 @@ def test_after_the_map_has_mended_an_index_it_stays_mended(monkeypatch):
     first = view("system80", CLEAN)
     tracker = Tracker(first.camera, first.lattice)
     sheet = sheet_of(first.sheet.lattice, CLEAN)
-    monkeypatch.setattr(tracker._map, "compare", lambda *_: Verdict(1, -1, 50.0))
+    verdicts = iter([None, Verdict(1, -1, 50.0, 50.0)])
+    monkeypatch.setattr(tracker._map, "contradicts", lambda _: True)
+    monkeypatch.setattr(tracker._map, "compare", lambda *_: next(verdicts, None))
     places = []
-    for i in range(CHECK_EVERY + 3):
+    for i in range(6):
         v = view("system80", CLEAN, pose=looking(4.0, at_mm=(0.5 * i, 0.0)), sheet=sheet)
         refined = tracker.step(v.image, None, i * PERIOD_NS, Stopwatch(lambda: 0)).refined
         nearest = np.argmin(np.hypot(*(refined.predicted_px - np.array(v.optics.principal_point_px)).T))
         places.append((int(refined.sites.row[nearest]), int(refined.sites.column[nearest])))
-        if i == CHECK_EVERY - 1:
-            monkeypatch.setattr(tracker._map, "compare", lambda *_: None)
     row, column = places[0]
-    assert places == [(row, column)] * (CHECK_EVERY - 1) + [(row + 1, column - 1)] * 4
+    mended = places.index((row + 1, column - 1))
+    assert 0 < mended < 3
+    assert places[mended:] == [(row + 1, column - 1)] * (6 - mended)
     assert np.hypot(*tracker.motion.speed_mm_per_s[:2]) < 25.0
