@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from anyio import to_thread
 from starlette.applications import Starlette
+from starlette.exceptions import HTTPException
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route, WebSocketRoute
 
@@ -90,7 +91,7 @@ class WebApp:
             *(Route(f"/api/{name}", self._commanded(c), methods=["POST"]) for name, c in COMMANDS.items()),
             WebSocketRoute("/live", self._live),
         ]
-        starlette = Starlette(routes=routes, lifespan=self._lifespan)
+        starlette = Starlette(routes=routes, lifespan=self._lifespan, exception_handlers={HTTPException: _refused})
         self.asgi: ASGIApp = _Guard(starlette, access, self._requests)
 
     # -- what goes on without a request ------------------------------------------------------------------------------
@@ -155,7 +156,8 @@ class WebApp:
             log.warning("page: a wrong token was given from %s", _client(request.scope))
             return _error(401, "this is not a token of the running service")
         response = JSONResponse({"may_control": right is Right.CONTROL})
-        response.set_cookie(self._access.cookie, token, httponly=True, samesite="strict", path="/")
+        if self._access.asks:
+            response.set_cookie(self._access.cookie, token, httponly=True, samesite="strict", path="/")
         return response
 
     def _commanded(self, command: Command) -> Callable[[Request], Awaitable[Response]]:
@@ -219,6 +221,15 @@ class _Answer(Exception):  # noqa: N818 - no error: a request is answered early
 
 def _error(status: int, words: str) -> Response:
     return JSONResponse({"error": words}, status)
+
+
+async def _refused(request: Request, error: Exception) -> Response:
+    """What there is not, in the words that everything else is refused in."""
+    del request
+    assert isinstance(error, HTTPException), "registered for these"
+    response = _error(error.status_code, error.detail.lower())
+    response.headers.update(error.headers or {})
+    return response
 
 
 async def _body(request: Request, access: Access) -> bytes:

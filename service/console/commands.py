@@ -50,6 +50,8 @@ class Argument:
         """The value; raises BadRequestError."""
         if value is None and not self.required:
             return None
+        if self.kind == "integer" and isinstance(value, float) and value.is_integer():
+            value = int(value)  # JSON knows one kind of number
         if type(value) is not {"string": str, "integer": int, "boolean": bool}[self.kind]:
             raise BadRequestError(f"{name}: must be a {self.kind}")
         if isinstance(value, str) and not self.least <= len(value) <= self.most:

@@ -41,14 +41,15 @@ def program() -> str | None:
 
 
 class Page:
-    """One tab. Every call waits for its answer."""
+    """One tab, or the browser itself. Every call waits for its answer."""
 
-    def __init__(self, address: str) -> None:
-        self._line = connect(address, max_size=None, open_timeout=PATIENCE_S)
+    def __init__(self, address: str, domains=("Page", "Runtime", "Network", "Log")) -> None:
+        self._open = contextlib.ExitStack()
+        self._line = self._open.enter_context(connect(address, max_size=None, open_timeout=PATIENCE_S))
         self._numbers = itertools.count(1)
         self.requests: list[str] = []
         self.complaints: list[str] = []
-        for domain in ("Page", "Runtime", "Network", "Log"):
+        for domain in domains:
             self.ask(f"{domain}.enable")
 
     def ask(self, method: str, **parameters):
@@ -87,13 +88,13 @@ class Page:
             raise RuntimeError(done["exceptionDetails"].get("exception", {}).get("description", "?"))
         return done["result"].get("value")
 
-    def wait(self, script: str, timeout_s: float = PATIENCE_S):
-        """Wait until an expression is true; gives its value."""
+    def wait(self, script: str, timeout_s: float = PATIENCE_S) -> None:
+        """Wait until an expression is true."""
         deadline = time.monotonic() + timeout_s
         while time.monotonic() < deadline:
             with contextlib.suppress(RuntimeError):
-                if value := self.run(script):
-                    return value
+                if self.run(f"Boolean({script})"):
+                    return
             time.sleep(0.05)
         raise TimeoutError(f"never true: {script}; the page says {self.text('body')[:600]!r}")
 
@@ -119,16 +120,14 @@ class Page:
             self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
     def click_on(self, selector: str) -> None:
-        box = self.run(
-            f"(b => [b.x + b.width / 2, b.y + b.height / 2])(document.querySelector({selector!r}).getBoundingClientRect())"
-        )
-        self.click(*box)
+        middle = "(b => [b.x + b.width / 2, b.y + b.height / 2])"
+        self.click(*self.run(f"{middle}(document.querySelector({selector!r}).getBoundingClientRect())"))
 
     def screenshot(self, path: Path) -> None:
         path.write_bytes(base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"]))
 
     def close(self) -> None:
-        self._line.close()
+        self._open.close()
 
 
 class Chromium:
@@ -145,10 +144,7 @@ class Chromium:
             time.sleep(0.05)
         port, path = port_file.read_text().split("\n")[:2]
         self._port = port
-        self._browser = Page.__new__(Page)
-        self._browser._line = connect(f"ws://127.0.0.1:{port}{path}", max_size=None)
-        self._browser._numbers = itertools.count(1)
-        self._browser.requests, self._browser.complaints = [], []
+        self._browser = Page(f"ws://127.0.0.1:{port}{path}", domains=())
         return self
 
     def page(self, url: str, width: int = 1280, height: int = 720) -> Page:
@@ -163,7 +159,7 @@ class Chromium:
     def __exit__(self, *_):
         for page in self._pages:
             page.close()
-        self._browser._line.close()
+        self._browser.close()
         self._process.terminate()
         try:
             self._process.wait(10)

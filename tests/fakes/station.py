@@ -1,5 +1,6 @@
 """A station for the operator's page without devices: what it is told to be, and what was asked of it."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -69,11 +70,13 @@ class FakeRecorder:
 class FakeStation:
     """All of the console but the server; `app` is its ASGI application, `sink` takes frames."""
 
-    def __init__(self, *, kind="LIVE", tokens=None, aligner=None, recorder=True, rule=RULE, **settings):
-        self.clock, self.watched, self.told = ManualClock(), FakeWatched(), []
+    def __init__(
+        self, *, kind="LIVE", tokens=None, aligner=None, recorder=True, rule=RULE, clock=None, port=8420, **settings
+    ):
+        self.clock, self.watched, self.told = clock or ManualClock(), FakeWatched(), []
         self.recorder = FakeRecorder() if recorder else None
         self.interpreter = Interpreter(TubeNamer(rule), aligner)
-        self.settings = ConsoleSettings(port=8420, **settings)
+        self.settings = ConsoleSettings(port=port, **settings)
         self.latest = None
         self.desk = AlarmDesk(self.tell)
         self.operations = Operations(self.interpreter, self.desk, self.watched, self.recorder, self.clock, self.tell)
@@ -87,7 +90,7 @@ class FakeStation:
             self.settings, rule, self.board, self.trend, self.operations, self.clock,
             live=kind != "REPLAY", start=lambda: None, finish=lambda timeout_s: None,
         )  # fmt: skip
-        self.access = Access(self.settings, 8420, tokens)
+        self.access = Access(self.settings, port, tokens)
         self.web = WebApp(self.access, self.board, self.teller, self.operations, self.clock, self.settings.clients)
         self.app = self.web.asgi
 
@@ -96,8 +99,10 @@ class FakeStation:
 
     def show(self, frame, result):
         """Bring a frame to the pages, as the sink's thread would."""
-        self.latest = result
-        self.clock.advance(0.04)
+        names, alignment = self.interpreter.read(result.measurement, result.generation)
+        result = self.latest = replace(result, names=names, alignment=alignment)
+        if isinstance(self.clock, ManualClock):
+            self.clock.advance(0.04)
         return self.sink._do_consume(frame, (result,))
 
 

@@ -26,9 +26,9 @@ export function ask(title, text, fields, doneWord, run) {
       return label;
     }),
   );
+  $("askleave").onclick = () => dialog.close();
   const form = dialog.querySelector("form");
   form.onsubmit = async (event) => {
-    if (event.submitter?.value === "cancel") return;
     event.preventDefault();
     const values = Object.fromEntries([...form.querySelectorAll("input")].map((i) => [i.name, i.value.trim()]));
     try {
