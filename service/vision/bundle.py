@@ -28,12 +28,15 @@ if TYPE_CHECKING:
 __all__ = ["BENDS", "COMMON", "POSE", "Bundle", "Range", "Solution", "Spread", "State"]
 
 POSE = 6
-COMMON = 13
-"""Unknowns that all pictures share beside the camera: the light's part, and second-order polynomials in x and y."""
-BENDS = np.array([2, 3, 4, 5, 6, 8, 9, 10, 11, 12])
-"""Those of them that belong to the polynomials, but for their constants."""
+COMMON = 14
+"""Unknowns that all pictures share beside the camera: the light's part, and a smooth field over the picture.
+
+The field: polynomials of second order along x, then along y, and one of third order, radial as a lens bends.
+"""
+BENDS = np.array([2, 3, 4, 5, 6, 8, 9, 10, 11, 12, 13])
+"""The field's coefficients, but for the polynomials' constants."""
 SMOOTH_PX = 0.02
-"""One sigma of the polynomials' coefficients over half the picture, as far as the pictures do not tell another."""
+"""One sigma of them over half the picture, as far as the pictures do not tell another."""
 LEAST_SCATTER_MM = 1e-3
 
 
@@ -103,16 +106,18 @@ class Bundle:
             shared_px=np.concatenate([_shared(k) for k in keyframes]),
             tubes=len(found),
             scatter_mm=np.maximum(scatter, LEAST_SCATTER_MM),
-            common_sigma=np.array([light**0.5, shift[0] ** 0.5, *smooth, shift[1] ** 0.5, *smooth]),
+            common_sigma=np.array([light**0.5, shift[0] ** 0.5, *smooth, shift[1] ** 0.5, *smooth, SMOOTH_PX]),
         )
 
 
 def _shared(k: Keyframe) -> Array:
-    """The light's part, then 1, x, y, x^2, xy, y^2 along x, then along y: (n, 2, COMMON)."""
-    x, y = (2 * k.center_px / np.array(k.camera.image_size_px) - 1).T
+    """How far each of what all pictures share moves the centres, (n, 2, COMMON)."""
+    at = 2 * k.center_px / np.array(k.camera.image_size_px) - 1
+    x, y = at.T
     field = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     out = np.zeros((len(k), 2, COMMON))
-    out[:, :, 0], out[:, 0, 1:7], out[:, 1, 7:] = k.light_px, field, field
+    out[:, :, 0], out[:, 0, 1:7], out[:, 1, 7:13] = k.light_px, field, field
+    out[:, :, 13] = at * np.sum(at**2, axis=1, keepdims=True)
     return out
 
 

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.bundle import COMMON, Bundle, Range, Solution, State
+from service.vision.bundle import COMMON, POSE, Bundle, Range, Solution, State
 from service.vision.bundle_solver import solve
 from service.vision.camera import Camera, OpenCVLens, TsaiLens
 from service.vision.errors import DegenerateError
 from service.vision.pose import NO_PRIOR, Prior, camera_with, fit_pose, prior_of
+from service.vision.working import CERTAIN, usual_focal_length_mm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -46,6 +47,29 @@ class Calibration:
     camera: Camera
     solution: Solution
     bundle: Bundle
+
+    @property
+    def frames(self) -> int:
+        """How many pictures it rests on."""
+        return self.bundle.frames
+
+    @property
+    def reprojection_error_px(self) -> float:
+        """RMS per axis of the tubes that were not set aside, about their nominal places."""
+        used = self.solution.residual_px[self.solution.spread.weight > 0]
+        return math.sqrt(float(np.mean(used**2))) if used.size else 0.0
+
+    def depth_over_focal(self) -> tuple[float, float]:
+        """Depth of the tubes' middle in the first picture by the focal length, and its sigma.
+
+        However little is known of the two, this is: Tsai's Tz/f.
+        """
+        z, f = float(self.solution.pivot_mm[0, 2]), self.camera.focal_length_mm or 1.0
+        gradient = np.zeros(len(self.solution.covariance))
+        gradient[5] = 1 / f
+        if "focal_length_mm" in self.solution.names:
+            gradient[POSE * self.frames + self.solution.names.index("focal_length_mm")] = -z / f**2
+        return z / f, math.sqrt(float(gradient @ self.solution.covariance @ gradient))
 
 
 def calibrate(
@@ -82,6 +106,8 @@ def starting_camera(keyframes: Sequence[Keyframe], camera: Camera) -> Camera:
         each = np.array([k.camera.focal_length_mm or 1.0 for k in keyframes])
         relative = np.array([max(k.focal_sigma_mm, 1e-6) for k in keyframes]) / each
         f = math.exp(float(np.average(np.log(each), weights=relative**-2.0)))
+        if np.sum(relative**-2.0) < CERTAIN**-2:  # no more than a guess, which would be its own prior
+            f = usual_focal_length_mm(camera)
     lens = camera.lens
     if lens is None:
         bends = [k.camera.lens.kappa1_per_mm2 for k in keyframes if isinstance(k.camera.lens, TsaiLens)]

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from service.vision.pose import Fit, Prior
     from service.vision.refinement import Refined
 
-__all__ = ["WorkingCamera"]
+__all__ = ["CERTAIN", "WorkingCamera", "usual_focal_length_mm"]
 
 CERTAIN = 0.3
 """A picture that knows its focal length to this part is believed; else it is taken for USUAL picture widths."""
@@ -29,6 +29,11 @@ BETTER = 0.5
 """To what part of its uncertainty another picture must know it for the camera to change."""
 ENOUGH = 0.01
 """A picture that knows it to this part is not bettered."""
+
+
+def usual_focal_length_mm(camera: Camera) -> float:
+    """What to take for a focal length of which nothing is known."""
+    return USUAL * camera.image_size_px[0] * camera.pixel_pitch_mm[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +89,7 @@ class WorkingCamera:
         known = self.known
         return replace(
             found,
-            focal_length_mm=known.focal_length_mm or USUAL * known.image_size_px[0] * known.pixel_pitch_mm[0],
+            focal_length_mm=known.focal_length_mm or usual_focal_length_mm(known),
             principal_point_px=known.principal_point_px or known.middle_px,
             sx=known.sx or 1.0,
         )

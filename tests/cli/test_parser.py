@@ -53,7 +53,7 @@ def test_the_version_is_the_packages(capsys):
         ("demo --port 9e3", ["--port", "from 1 to 65535"]),
         ("simulate a.mkv --generator x --seed -3", ["--seed"]),
         ("simulate a.mkv --generator x --frames ²", ["--frames", "whole number"]),
-        ("calibrate --points a.dat", ["required", "--camera"]),
+        ("calibrate --points a.dat", ["give --camera FILE", "the pixel pitch"]),
         ("calibrate --points a --camera b --method tasi", ["'tasi'", "tsai"]),
     ],
 )

@@ -36,7 +36,7 @@ class Sheet:
     """
 
     def __init__(self, rng, scatter_mm=0.06, height_mm=0.0, lattice=LATTICE, bend_px=0.0):
-        self.field_px = bend_px * rng.standard_normal((6, 2))
+        self.field_px, self.bulge_px = bend_px * rng.standard_normal((6, 2)), bend_px * rng.standard_normal()
         self.rng, self.lattice, self.scatter_mm = rng, lattice, (scatter_mm, scatter_mm, height_mm)
         self.offset_mm = {}
 
@@ -50,8 +50,10 @@ class Sheet:
         px = project(
             camera.vector(), rotation, translation, np.column_stack([sites.sheet_mm, np.zeros(len(sites))]) + off
         )
-        x, y = (2 * px / np.array(camera.image_size_px) - 1).T
+        at = 2 * px / np.array(camera.image_size_px) - 1
+        x, y = at.T
         px = px + np.stack([0 * x, x, y, x * x, x * y, y * y], axis=1) @ self.field_px
+        px = px + self.bulge_px * at * np.sum(at**2, axis=1, keepdims=True)
         wrong = np.exp(0.05 * self.rng.standard_normal())
         f = camera.focal_length_mm * wrong
         return Keyframe(
@@ -68,6 +70,7 @@ class Sheet:
             focal_sigma_mm=0.05 * f,
             rotation=rotation,
             translation_mm=translation * [1.0, 1.0, wrong],
+            pitch_mm=self.lattice.pitch_mm,
         )
 
 

@@ -1,0 +1,143 @@
+"""`bowlsight calibrate PATH...`: measure pictures of the sheet, keep those that tell most, solve, write."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Never
+
+import numpy as np
+from tqdm import tqdm
+
+from drivers.errors import CalibrationError, ConfigError
+from drivers.replay import ReplayGrabber
+from drivers.session_replay import SessionGrabber, is_session
+from service.acquisition.measuring import FrameMeasurer
+from service.cli.inputs import field_order, fitting_camera
+from service.cli.live import prepare_kernels
+from service.cli.terminal import say
+from service.config.calibration import write_calibration
+from service.config.cameras import read_camera, write_atomically
+from service.config.generators import load_generator
+from service.vision.bundle import Range
+from service.vision.calibration_report import calibration_dict, calibration_lines
+from service.vision.collecting import Collector
+from service.vision.errors import DegenerateError
+from service.vision.process import Measurer
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Sequence
+
+    from drivers.grabber import Grabber
+    from service.vision.camera import Camera
+
+__all__ = ["run_pictures"]
+
+RANGE_SIGMA_MM = 2.0
+FOCAL_SIGMA = 0.03
+"""Of a focal length that a lens or its maker tells, as a part of it."""
+
+
+def run_pictures(args: argparse.Namespace) -> int:
+    """Measure, solve, write; returns the exit status."""
+    _check(args)
+    lattice = load_generator(args.generator).lattice
+    grabbers = [_grabber(path) for path in args.paths]
+    camera, total = _camera(args, grabbers)
+    collector = Collector(camera, lattice)
+    prepare_kernels()
+    _collect(grabbers, collector, args.field_order, total)
+    for reason, count in collector.left_out.items():
+        say(f"{count} picture{'s' * (count != 1)} left out: {reason}")
+    known_range = None
+    if args.range_mm is not None:
+        known_range = Range(args.range_mm[0], args.range_mm[1] or RANGE_SIGMA_MM)
+    try:
+        calibration = collector.solve(known_range)
+    except DegenerateError as error:
+        raise CalibrationError(f"{args.paths[0]}: {error}; nothing is written") from error
+    utc = datetime.now(UTC).isoformat(timespec="seconds")
+    write_calibration(args.out, calibration, utc)
+    if args.json is not None:
+        text = json.dumps(calibration_dict(calibration, lattice), indent=2, allow_nan=False)
+        print(text) if args.json == "-" else write_atomically(Path(args.json), text + "\n")
+    if args.json != "-":
+        print(f"{len(collector.kept)} of {collector.seen} pictures kept")
+        print(*calibration_lines(calibration, lattice), f"{args.out}: written", sep="\n")
+    return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    if not args.paths:
+        raise ConfigError("calibrate: give PATH..., pictures of the tubesheet from several tilts, or --points FILE")
+    for option, value in (("--generator NAME", args.generator), ("--out FILE", args.out)):
+        if value is None:
+            raise ConfigError(f"calibrate: give {option} with {args.paths[0]}")
+    written = [args.out, *([] if args.json in (None, "-") else [Path(args.json)])]
+    read = {p.resolve() for p in args.paths}
+    for path in written:
+        if path.resolve() in read or (path is not args.out and path.resolve() == args.out.resolve()):
+            raise ConfigError(f"{path}: is a source, or another output, already; choose another name")
+        if path.is_dir() or not path.resolve().parent.is_dir():
+            raise ConfigError(f"{path}: cannot be written there; give a file in a folder that exists")
+
+
+def _grabber(path: Path) -> ReplayGrabber:
+    return SessionGrabber(path, speed=math.inf) if is_session(path) else ReplayGrabber(path, speed=math.inf)
+
+
+def _camera(args: argparse.Namespace, grabbers: Sequence[ReplayGrabber]) -> tuple[Camera, int | None]:
+    """What is known of the camera, and how many pictures there are, as far as the sources tell."""
+    given = read_camera(args.camera) if args.camera else None
+    camera, counts = given, []
+    for grabber in grabbers:
+        with grabber:
+            camera = fitting_camera(camera, grabber.format, grabber.name)
+            counts.append(grabber.frame_count)
+    assert camera is not None
+    if given is None:
+        camera = replace(camera, sx=None)
+    if args.focal_length_mm is not None:
+        focal_mm, sigma_mm = args.focal_length_mm
+        camera = _with_focal_length(camera, focal_mm, sigma_mm or FOCAL_SIGMA * focal_mm)
+    if camera.complete and not np.diag(camera.covariance).any():
+        raise ConfigError(
+            f"{args.camera}: gives all values without a sigma, so that none is left to be found; leave some out"
+        )
+    known = [c for c in counts if c is not None]
+    return camera, sum(known) if len(known) == len(counts) else None
+
+
+def _with_focal_length(camera: Camera, focal_mm: float, sigma_mm: float) -> Camera:
+    """The camera with another prior of its focal length, which has nothing to do with what else is known."""
+    keep = [i for i, name in enumerate(camera.parameters) if name != "focal_length_mm"]
+    covariance = np.zeros((len(keep) + 1, len(keep) + 1))
+    covariance[0, 0] = sigma_mm**2
+    covariance[1:, 1:] = camera.covariance[np.ix_(keep, keep)]
+    names = ("focal_length_mm", *(camera.parameters[i] for i in keep))
+    return replace(camera, focal_length_mm=focal_mm, parameters=names, covariance=covariance)
+
+
+def _collect(grabbers: Sequence[ReplayGrabber], collector: Collector, order: str | None, total: int | None) -> None:
+    tqdm.monitor_interval = 0  # no thread of its own
+    with tqdm(total=total, unit="frame", disable=None, leave=False) as bar:
+        for grabber in grabbers:
+            collector.begin()
+            with grabber:
+                _measure(grabber, collector, order, bar)
+
+
+def _measure(grabber: Grabber, collector: Collector, order: str | None, bar: tqdm[Never]) -> None:
+    vision = Measurer(collector.camera, collector.lattice, time.perf_counter_ns)
+    measurer = FrameMeasurer(vision, field_order(order).field, grabber.clock)
+    grabber.start()
+    for frame in grabber:
+        for result in measurer.answer(frame)[0]:
+            collector.take(result.measurement)
+        bar.update()
+        bar.set_postfix_str(f"{len(collector.kept)} kept", refresh=False)
