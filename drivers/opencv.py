@@ -6,6 +6,7 @@ is looked at here, and whether it is another one than the picture before.
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import math
 from collections import deque
@@ -38,7 +39,7 @@ from drivers.v4l2.constants import fourcc, fourcc_text
 from drivers.v4l2.locating import paths_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from drivers.frame import Pixels
 
@@ -54,6 +55,16 @@ STALE_PERIODS: Final = 2.5
 OLDEST_STAMP_NS: Final = 60_000_000_000
 LINES_525: Final = (480, 486)
 """Heights of standards whose bottom field comes first."""
+
+
+@contextlib.contextmanager
+def _silence() -> Iterator[None]:
+    """Keep OpenCV from writing to the terminal: what goes wrong is told by the grabber."""
+    before = cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(before)
 
 
 class OpenCvGrabber(Grabber):
@@ -141,7 +152,8 @@ class OpenCvGrabber(Grabber):
         self._node = Path(path)
         if index is None and not self._node.exists():
             raise DeviceNotFoundError(self.name, f"there is no {path}; bowlsight devices lists what there is")
-        capture = self._make(index if index is not None else path)
+        with _silence():
+            capture = self._make(index if index is not None else path)
         if not capture.isOpened():
             capture.release()
             raise self._why_not()
