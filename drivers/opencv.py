@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import math
 from collections import deque
 from dataclasses import replace
 from pathlib import Path
@@ -31,6 +30,7 @@ from drivers.errors import (
 )
 from drivers.fields import field_frames
 from drivers.frame import Field, Frame, PixelFormat
+from drivers.freshness import Freshness
 from drivers.grabber import AcquisitionMode, Clock, FieldMode, FrameFormat, Grabber, GrabberState
 from drivers.identity import SYSFS
 from drivers.pool import FramePool, read_only
@@ -51,7 +51,6 @@ USUAL_PERIOD_NS: Final = 40_000_000
 POOL_FRAMES: Final = 16
 MOST_PASSED_OVER: Final = 16
 """Old pictures before a fresh one: more than any backend keeps."""
-STALE_PERIODS: Final = 2.5
 OLDEST_STAMP_NS: Final = 60_000_000_000
 LINES_525: Final = (480, 486)
 """Heights of standards whose bottom field comes first."""
@@ -71,8 +70,8 @@ class OpenCvGrabber(Grabber):
     """A camera of OpenCV's.
 
     Frames have no number. Those passed over because they were old, and repetitions, count as `suspected`; a
-    repetition has a defect. Only Video4Linux devices can be waited for with a timeout, and tell when a picture was
-    taken; for others `read` returns when OpenCV does.
+    repetition has a defect. Only Video4Linux devices tell when a picture was taken, and can be waited for with a
+    timeout once they stream; for others, and in `start`, a call returns when OpenCV's does.
 
     Parameters
     ----------
@@ -211,22 +210,17 @@ class OpenCvGrabber(Grabber):
         self._owed = mode.frames_owed
         self._pool = FramePool((self._granted.height_px, self._granted.width_px), np.uint8, POOL_FRAMES)
         self._stamps = StampCheck()
-        self._last: Pixels | None = None
-        self._last_stamp_ns: int | None = None
-        self._least_age_ns: float = math.inf
-        self._wanted_from_ns = self._last_taken_ns = self.clock.monotonic_ns()
-        self._kept = True
+        self._freshness = Freshness(self._period_ns, self.clock.monotonic_ns())
         # a change of settings leaves Video4Linux streaming with no buffer to fill, which a first plain call sets right
         self._grab_and_retrieve()
 
     def _do_stop(self) -> None:
         """Read no more. OpenCV goes on; what it has kept is passed over when it is started again."""
         self._pending.clear()
-        self._last = None
 
     def _do_trigger(self) -> None:
         if self._owed < 1:
-            self._wanted_from_ns, self._kept = self.clock.monotonic_ns(), True
+            self._freshness.want(self.clock.monotonic_ns())
         self._owed += 1
 
     # -- frames --------------------------------------------------------------------------------------------------------
@@ -248,20 +242,11 @@ class OpenCvGrabber(Grabber):
             picture = self._take(deadline_ns, timeout_s)
             now_ns = self.clock.monotonic_ns()
             stamp_ns = self._stamp_ns(now_ns)
-            if self._is_fresh(stamp_ns, began_ns, now_ns):
+            if self._freshness.is_fresh(stamp_ns, began_ns, now_ns):
                 break
             self._suspect()
-        self._last_taken_ns, self._kept = now_ns, False
+        self._freshness.take(now_ns)
         return picture, stamp_ns
-
-    def _is_fresh(self, stamp_ns: int | None, began_ns: int, now_ns: int) -> bool:
-        """By its own time; without one, what comes at once after a pause, a start or a trigger had been waiting."""
-        if stamp_ns is not None:
-            self._least_age_ns = min(self._least_age_ns, now_ns - stamp_ns)
-            late_ns = now_ns - stamp_ns - self._least_age_ns
-            return late_ns <= STALE_PERIODS * self._period_ns and stamp_ns >= self._wanted_from_ns - self._period_ns
-        paused = self._kept or began_ns - self._last_taken_ns > STALE_PERIODS * self._period_ns
-        return not paused or now_ns - began_ns > self._period_ns // 4
 
     def _take(self, deadline_ns: int, timeout_s: float) -> Any:
         """Wait for a picture and take it as OpenCV gives it, None where that could not decode it."""
@@ -321,7 +306,7 @@ class OpenCvGrabber(Grabber):
     def _hand_over(self, picture: Any, stamp_ns: int | None) -> None:
         received_ns = self.clock.monotonic_ns()
         pixels, defect = self._luma(picture)
-        if self._repeats(pixels, stamp_ns):
+        if self._freshness.repeats(pixels, stamp_ns):
             self._suspect()
             defect = defect or "repeats the picture before it"
         frame = Frame(
@@ -338,14 +323,6 @@ class OpenCvGrabber(Grabber):
         self._owed -= 1
         field_ns = self._period_ns // 2
         self._pending.extend(field_frames(frame, self._field_mode, top_first=self._top_first, field_ns=field_ns))
-
-    def _repeats(self, pixels: Pixels, stamp_ns: int | None) -> bool:
-        """Whether it is the picture before once more: of the same time, or of none and the same to the last bit."""
-        last, last_stamp_ns = self._last, self._last_stamp_ns
-        self._last, self._last_stamp_ns = pixels, stamp_ns
-        if last is None:
-            return False
-        return stamp_ns == last_stamp_ns and np.array_equal(last, pixels)
 
     def _suspect(self) -> None:
         self._counters = replace(self._counters, suspected=self._counters.suspected + 1)
