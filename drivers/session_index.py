@@ -6,6 +6,7 @@ One line of checked JSON a record (see `checked_lines`), appended as things happ
 ``session_index``     the first line: version of this form, SHA-256 of the session's description
 ``stream``            source, size and depth of the frames that follow
 ``frame``             a frame that was recorded
+``outside``           what a result line of the frame measured next rests on besides it: by its time and field
 ``measured``          a recorded frame was measured, and what its lines in the result log are; null: it was lost here
 ``overflowed``        so many more frames that found no room in the recorder
 ``written``           how much of a video file there is by now, and the SHA-256 of that much
@@ -44,6 +45,7 @@ __all__ = [
     "Header",
     "Item",
     "Measured",
+    "Outside",
     "Overflow",
     "Row",
     "Stream",
@@ -133,6 +135,27 @@ class Row:
             "at": self.at,
             "pts_us": self.pts_us,
         }
+
+
+@dataclass(frozen=True, slots=True)
+class Outside:
+    """What a result rests on besides frames and configuration: what the operator chose, what instruments said.
+
+    Attributes
+    ----------
+    time_ns, field
+        Of the result's picture.
+    values
+        See `docs/formats.md`.
+    """
+
+    time_ns: int
+    field: str
+    values: Mapping[str, Any]
+
+    def record(self) -> dict[str, Any]:
+        """The line's values."""
+        return {"outside": self.time_ns, "field": self.field, **self.values}
 
 
 @dataclass(frozen=True, slots=True)
@@ -241,7 +264,7 @@ class Fault:
     torn: bool = False
 
 
-Item: TypeAlias = Header | Stream | Row | Measured | Overflow | Written | Finished | Evidence | Closed | Fault
+Item: TypeAlias = Header | Stream | Row | Outside | Measured | Overflow | Written | Finished | Evidence | Closed | Fault
 
 
 def read_index(path: Path) -> Iterator[Item]:
@@ -354,6 +377,9 @@ _READERS: Final[Mapping[str, Callable[[Mapping[str, Any]], Item]]] = {
     "session_index": lambda r: Header(_text(r["session_sha256"])),
     "stream": _stream,
     "measured": _measured,
+    "outside": lambda r: Outside(
+        _whole(r["outside"]), _text(r["field"]), {k: v for k, v in r.items() if k not in ("outside", "field")}
+    ),
     "overflowed": lambda r: Overflow(_whole(r["overflowed"])),
     "written": lambda r: Written(_video(r["written"]), _whole(r["bytes"]), _text(r["sha256"])),
     "finished": lambda r: Finished(_video(r["finished"]), _whole(r["bytes"]), _text(r["sha256"])),

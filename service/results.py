@@ -11,7 +11,7 @@ from service.vision.camera import OpenCVLens, TsaiLens
 from service.vision.measurement import Lock, Measurement, Origin, Pose, TubeState, angles_deg
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from service.alignment.priors import Priors
     from service.alignment.result import Alignment
@@ -39,6 +39,9 @@ class FrameResult:
         How the guide stands to its tube; None where none is set up.
     instruments
         What lens and range finder say; None where there is neither.
+    outside
+        What the result rests on besides frames and configuration, and took effect with it, in JSON's own types: what
+        the operator chose ("anchors", "target"), what the instruments said ("readings"). Not part of the line.
     """
 
     source: str
@@ -49,6 +52,7 @@ class FrameResult:
     names: Sequence[str | None] = ()
     alignment: Alignment | None = None
     instruments: Priors | None = None
+    outside: Mapping[str, Any] | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The line as JSON's own types; see `docs/formats.md`."""

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Final
+from dataclasses import asdict, replace
+from typing import TYPE_CHECKING, Any, Final
 
 from service.acquisition.readings import Calibration
 from service.alignment.consistency import LatticeStatement, Source, Verdict, check_consistency
@@ -75,10 +75,14 @@ class CrossCheck:
         self._told: tuple[object, ...] = (None, None, Calibration.CURRENT)
         self._new: tuple[object, ...] = self._told
         self._since_ns = 0
+        self.said: dict[str, Any] = {}
+        """What the instruments said with the last measurement, in JSON's own types."""
 
     def apply(self, measurement: Measurement) -> tuple[Measurement, Priors]:
         """The measurement with the doubts that follow, and what they follow from."""
-        priors = priors_of(self._readings(), measurement)
+        readings = self._readings()
+        self.said = {"readings": asdict(readings)}
+        priors = priors_of(readings, measurement)
         self._watch(priors, measurement.time_ns)
         return doubted(measurement, priors), priors
 

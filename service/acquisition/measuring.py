@@ -94,7 +94,9 @@ class FrameMeasurer:
         for m in measurements:
             measurement, priors = (m, None) if self._check is None else self._check.apply(m)
             result = FrameResult(frame.source, sequence, frame.timestamp_ns, frame.generation, measurement)
-            results.append(result if priors is None else replace(result, instruments=priors))
+            if self._check is not None:
+                result = replace(result, instruments=priors, outside=self._check.said)
+            results.append(result)
         if self._interpreter is not None and not self._interpret(frame, results, self._interpreter):
             outcome = Outcome.FAILED
         return tuple(results), outcome
@@ -131,7 +133,8 @@ class FrameMeasurer:
         try:
             for i, result in enumerate(results):
                 names, alignment = interpreter.read(result.measurement, frame.generation, fresh=fresh)
-                results[i] = replace(result, names=names, alignment=alignment)
+                outside = {**(result.outside or {}), **interpreter.chosen} or None
+                results[i] = replace(result, names=names, alignment=alignment, outside=outside)
         except Exception as error:  # noqa: BLE001 - as above: the measurement itself is sound
             said = f"{type(error).__name__}: {error}"
             self._log.warning("interpret", f"{frame.source}: frame {frame.sequence} could not be judged: {said}", error)

@@ -68,6 +68,8 @@ class Aligner:
 
     def __init__(self, settings: AlignmentSettings, lattice: Lattice, target: Target = NEAREST) -> None:
         self.settings, self.target = settings, target
+        self.used = target
+        """The target of the last picture."""
         self._lattice = lattice
         self.reset()
 
@@ -130,6 +132,7 @@ class Aligner:
         target = self.target
         if target.place is not None and target.generation is None and measurement.pose is not None:
             self.target = target = replace(target, generation=generation)
+        self.used = target
         return target
 
     def _averaged(self, measurement: Measurement, *, fresh: bool) -> Averaged | None:

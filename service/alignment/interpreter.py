@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,6 +32,8 @@ class Interpreter:
         self._generation: int | None = None
         self._named: NamedLattice | None = None
         self._told: dict[tuple[int, int], str | None] = {}
+        self.chosen: dict[str, Any] = {}
+        """What the operator chose meanwhile and took effect with the last picture, in JSON's own types."""
 
     def read(
         self, measurement: Measurement, generation: int, *, fresh: bool = True
@@ -49,12 +51,20 @@ class Interpreter:
             self._generation = generation
             if self.aligner is not None:
                 self.aligner.reset()
+        before = None if self.aligner is None else self.aligner.used
         named = self.namer.update(measurement, generation)
+        self.chosen = {}
+        if self.namer.taken is not None:
+            anchors, known = self.namer.taken
+            self.chosen = {"anchors": [str(anchor) for anchor in anchors], "generation": known}
         names: Sequence[str | None] = () if named is None else self._texts(named, measurement.tubes)
         if self.aligner is None:
             return names, None
         now_ns = measurement.time_ns
-        return names, self.aligner.update(measurement, named, now_ns, generation=generation, fresh=fresh)
+        alignment = self.aligner.update(measurement, named, now_ns, generation=generation, fresh=fresh)
+        if before is not None and not self.aligner.used.continues(before):
+            self.chosen["target"] = self.aligner.used.to_dict()
+        return names, alignment
 
     def _texts(self, named: NamedLattice, tubes: Tubes) -> Sequence[str | None]:
         """Names in words; those that were told before are kept, as most tubes are in the next picture too."""

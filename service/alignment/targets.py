@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import re
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -44,6 +44,15 @@ class Target:
     name: TubeName | None = None
     place: tuple[int, int] | None = None
     generation: int | None = None
+
+    def continues(self, before: Target) -> bool:
+        """Whether it is what it was before, at most bound to its lattice index since."""
+        return self == before or (before.generation is None and replace(self, generation=None) == before)
+
+    def to_dict(self) -> dict[str, Any]:
+        """In JSON's own types."""
+        place = None if self.place is None else list(self.place)
+        return {"name": None if self.name is None else str(self.name), "place": place, "generation": self.generation}
 
     def __str__(self) -> str:
         if self.place is not None:

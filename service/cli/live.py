@@ -14,6 +14,7 @@ from service.acquisition.cross_check import CrossCheck
 from service.acquisition.live import STOP_S, LiveService
 from service.alignment.interpreter import Interpreter
 from service.cli.inputs import fitting_camera
+from service.cli.kernels import compile_apart
 from service.cli.keys import pressed_keys
 from service.cli.recording import KEYS, make_recorder, on_key, recorded_lines
 from service.cli.reporting import Reporting
@@ -183,6 +184,7 @@ def prepare_kernels() -> None:
     notice.daemon = True
     notice.start()
     try:
+        compile_apart()
         warm_up(time.perf_counter_ns)
     except OSError as error:
         raise ConfigError(

@@ -10,7 +10,7 @@ from drivers.errors import ConfigError
 from drivers.replay import ReplayGrabber
 from drivers.session_replay import SessionGrabber, is_session
 from service.acquisition.liveness import Liveness
-from service.cli.again import measured_again, recorded_said
+from service.cli.again import measured_again, recalled, recalled_check, recorded_said, recorded_source
 from service.cli.inputs import field_order, station, station_file
 from service.cli.interpreting import interpreter_for
 from service.cli.live import LiveRun, prepare_kernels, watch
@@ -78,8 +78,13 @@ def _session(args: argparse.Namespace, session: RecordedSession) -> int:
     """Measure the frames of a session again: as they were measured, unless the options say otherwise."""
     recorded_said(args, session)
     comparison = Comparison(session)
-    grabber = SessionGrabber(args.path, speed=math.inf if args.check else args.speed, loop=args.loop)
+    grabber = SessionGrabber(
+        args.path, speed=math.inf if args.check else args.speed, loop=args.loop, name=recorded_source(session)
+    )
     live = _live(args, grabber, every_frame=True, sinks=[comparison])
+    assert live.recording is not None, "replays can be recorded"
+    interpreter = recalled(session, live.interpreter, live.recording.rule)
+    live = replace(live, interpreter=interpreter, check=recalled_check(session, station(args.config)))
     status = _check(session, live, comparison) if args.check else watch(live, args)
     for line in [*comparison.lines(), *_surroundings(session, comparison)]:
         print(line)
@@ -90,7 +95,7 @@ def _check(session: RecordedSession, live: LiveRun, comparison: Comparison) -> i
     """Measure all of it, without a viewer, and show nothing but what comes of it."""
     prepare_kernels()
     field = live.measuring.field_order.field
-    for frame, results in measured_again(session, live.generator, live.camera, field, live.interpreter):
+    for frame, results in measured_again(session, live.generator, live.camera, field, live.interpreter, live.check):
         comparison.accept(frame, results)
     counts = session.counts()
     lost = f", {counts.overflowed:,} lost by the recorder" if counts.overflowed else ""

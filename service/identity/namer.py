@@ -38,6 +38,8 @@ class TubeNamer:
         """What names the tubes of the present index, whether or not it is in doubt just now."""
         self.problem: str | None = None
         """Why the last anchors name nothing."""
+        self.taken: tuple[tuple[Anchor, ...], int] | None = None
+        """Anchors that took effect with the last picture, and their generation; None where none did."""
         self._asked: tuple[tuple[Anchor, ...], int | None] | None = (tuple(anchors), None) if anchors else None
 
     def anchor(self, anchors: Sequence[Anchor], generation: int) -> None:
@@ -52,6 +54,7 @@ class TubeNamer:
 
     def update(self, measurement: Measurement, generation: int) -> NamedLattice | None:
         """What names this picture's tubes; None where nothing does, or where the index is in doubt."""
+        self.taken = None
         if self.named is not None and self.named.generation != generation:
             self._fail(f"anchor {self.named.anchors[0]} is dropped: the source was reopened, and counting began anew")
         if measurement.pose is None or Doubt.INDEX in measurement.doubt:
@@ -59,6 +62,7 @@ class TubeNamer:
         asked, self._asked = self._asked, None
         if asked is not None:
             anchors, known = asked
+            self.taken = None if known is None else (anchors, known)
             if known not in (None, generation):
                 self._fail(f"anchor {anchors[0]} came too late: the source was reopened, and counting began anew")
             else:

@@ -55,7 +55,7 @@ class ScriptedInterpreter:
     """Notes what it is given; names every tube, or raises."""
 
     def __init__(self, error=None):
-        self.error, self.seen = error, []
+        self.error, self.seen, self.chosen = error, [], {}
 
     def read(self, measurement, generation, *, fresh=True):
         self.seen.append((measurement.field, generation, fresh))

@@ -17,6 +17,7 @@ from drivers.session_index import (
     Evidence,
     Header,
     Measured,
+    Outside,
     Overflow,
     Row,
     Stream,
@@ -191,6 +192,10 @@ class SessionWriter:
         lines = [result.to_json() for result in results]
         for line in lines:
             self._results.write(line)
+        for result in results:
+            if result.outside:
+                m = result.measurement
+                self._index.append(Outside(m.time_ns, m.field, result.outside).record())
         text = "".join(f"{line}\n" for line in lines).encode("ascii")
         self._index.append(Measured(number, self._results_bytes, len(text), zlib.crc32(text)).record())
         self._results_bytes += len(text)

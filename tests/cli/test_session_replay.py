@@ -1,0 +1,169 @@
+"""Real pictures, recorded as they are measured live, come out the same to the last bit: also after kill -9."""
+
+import argparse
+import itertools
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from drivers.grabber import SystemClock
+from drivers.replay import ReplayGrabber
+from drivers.session_index import INDEX, Measured, Outside, Row, read_index
+from service.acquisition.cross_check import CrossCheck
+from service.acquisition.measuring import FrameMeasurer
+from service.acquisition.readings import InstrumentReadings
+from service.acquisition.slot import FrameQueue
+from service.alignment.targets import Target, parse_anchor
+from service.cli.again import measured_as_recorded
+from service.cli.interpreting import interpreter_for
+from service.cli.kernels import compile_apart
+from service.config.recording import RecordingSettings
+from service.config.station import read_station
+from service.sinks.session.comparison import Comparison
+from service.sinks.session.configuration import configuration
+from service.sinks.session.plan import RecordingPlan
+from service.sinks.session.reader import SessionEnd, open_session
+from service.sinks.session.recorder import SessionRecorder
+from service.sinks.session.verification import verify_session
+from service.vision.paper import assumed_camera
+from service.vision.process import Measurer
+
+pytestmark = [pytest.mark.shared, pytest.mark.slow]
+
+VIDEOS = [
+    ("v0_WF_nominal_pan_640x480.mp4", "model-f"),
+    ("v2_51B_brutal_interlaced_720x480.avi", "51b"),
+    ("w1_Delta60_hard_speckle_640x480.avi", "delta60"),
+]
+GUIDE = "mouth_mm = [5, -4, 600]\naxis = [0.01, -0.01, 1]\naxis_sigma_deg = 0.1\npoint_sigma_mm = 0.1\n"
+
+
+@pytest.fixture(autouse=True, scope="module")
+def kernels():
+    """Compiled beforehand, as commands find them."""
+    compile_apart()
+
+
+def station(folder: Path, generator: str) -> Path:
+    (folder / "guide.toml").write_text(GUIDE)
+    path = folder / "s.toml"
+    path.write_text(
+        f'[source]\ndevice = "simulated"\n[generator]\nname = "{generator}"\n[recording]\nviewer = false\n'
+        '[alignment]\nguide = "guide.toml"\nprobe_diameter_mm = 10\ngap_mm = 25\n'
+        '[range_finder]\nport = "/dev/none"\n'
+        '[identity]\nrows_grow = "up"\ncolumns_grow = "right"\nleg = "HL"\n'
+    )
+    return path
+
+
+def as_a_live_source_gives_them(video: Path, count: int):
+    """Frames with what befalls them: some are not measured, one is bad, and the source is reopened once."""
+    with ReplayGrabber(video, speed=math.inf) as grabber:
+        grabber.start()
+        for k, frame in enumerate(itertools.islice(grabber, count)):
+            bad = "truncated" if k == count // 3 else None
+            again = 2 if k >= 2 * count // 3 else 1
+            yield replace(frame, generation=again, defect=bad, received_ns=time.monotonic_ns()), k % 4 != 3
+
+
+def record(video: Path, folder: Path, generator: str, count: int) -> Path:
+    """Measure and record these frames as the live service does, without its threads."""
+    path = station(folder, generator)
+    s = read_station(path)
+    rule = s.identity.rule(s.generator)
+    anchor = ["0,0=L20R20" if s.generator.naming == "line-row" else "0,0=ROW20 COL20"]
+    plan = RecordingPlan(
+        RecordingSettings(enabled=True, folder=folder / "sessions", keep_free_mib=0),
+        "REPLAY", generator, configuration(path), rule, anchor,
+    )  # fmt: skip
+    frames = FrameQueue(8, waits=True)
+    recorder = SessionRecorder(plan, SystemClock())
+    recorder.listen(frames)
+    said = argparse.Namespace(anchor=anchor, target=None)
+    distances = map(float, itertools.count(900))
+    interpreter = interpreter_for(said, s.identity, s.alignment, s.generator)
+    measurer = None
+    recorder.start()
+    for frame, measured in as_a_live_source_gives_them(video, count):
+        if measurer is None:
+            vision = Measurer(assumed_camera(frame.size_px), s.generator.lattice, time.perf_counter_ns)
+            check = CrossCheck(lambda: InstrumentReadings(distance_mm=next(distances), distance_sigma_mm=1.0))
+            measurer = FrameMeasurer(vision, None, SystemClock(), interpreter, check)
+        frames.offer(frame)
+        if frame.sequence == count // 4:  # as operators do, in the midst of it
+            interpreter.aligner.target = Target(place=(1, 1), generation=1)
+        elif frame.sequence == count // 2:
+            interpreter.namer.anchor([parse_anchor(anchor[0].replace("0,0", "1,-2"), rule)], 1)
+        if measured:
+            recorder.accept(frame, measurer.answer(frame)[0])
+    frames.close()
+    recorder.close(60.0)
+    (session,) = (folder / "sessions").iterdir()
+    return session
+
+
+@pytest.mark.parametrize(("video", "generator"), VIDEOS)
+def test_skipped_bad_and_reopened_frames_are_measured_again_to_the_last_bit(shared, tmp_path, video, generator):
+    count = 60 if video.startswith("v0") else 24
+    session = open_session(record(shared / "bowl" / "videos" / video, tmp_path, generator, count))
+    assert list(verify_session(session.folder)) == []
+    locks = [line["lock"] for line in session.results()]
+    assert sum(lock != "none" for lock in locks) > len(locks) // 2
+    alignments = [line["alignment"] for line in session.results()]
+    assert {"1,1", "nearest"} <= {alignment["target"] for alignment in alignments}
+    chosen = [item.values for item in session.index() if isinstance(item, Outside)]
+    assert sum("target" in values for values in chosen) == 1
+    assert sum("anchors" in values for values in chosen) == 1
+    assert len({values["readings"]["distance_mm"] for values in chosen}) == len(chosen) == len(alignments)
+    comparison = Comparison(session)
+    for frame, results in measured_as_recorded(session):
+        comparison.accept(frame, results)
+    assert comparison.same, comparison.lines()
+    assert comparison.equal == session.counts().measured == count - count // 4
+
+
+def recorded_until(root: Path, measured: int, process: subprocess.Popen, seconds: float = 300.0) -> Path:
+    """Wait until so many frames were measured and recorded."""
+    deadline = time.monotonic() + seconds
+    while time.monotonic() < deadline:
+        assert process.poll() is None, "the replay ended"
+        for index in root.glob(f"*/{INDEX}"):
+            if sum(isinstance(item, Measured) for item in read_index(index)) >= measured:
+                return index.parent
+        time.sleep(0.1)
+    pytest.fail("nothing was recorded in time")
+
+
+@pytest.mark.parametrize(("video", "generator"), VIDEOS)
+def test_kill_9_loses_less_than_a_second_and_what_is_there_is_the_same(shared, tmp_path, video, generator):
+    root = tmp_path / "sessions"
+    with subprocess.Popen(
+        [
+            sys.executable, "-c", "import sys; from service.cli import main; sys.exit(main())", "replay",
+            str(shared / "bowl" / "videos" / video), "--config", str(station(tmp_path, generator)), "--record",
+            str(root), "--no-viewer", "--loop",
+        ],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, cwd=Path(__file__).parents[2],
+    ) as process:  # fmt: skip
+        folder = recorded_until(root, 10, process)
+        os.kill(process.pid, signal.SIGKILL)
+        killed_ns = time.time_ns()
+        process.wait(30)
+    session = open_session(folder)
+    assert session.counts().end is SessionEnd.INTERRUPTED
+    assert [f for f in verify_session(folder) if f.grave] == []
+    rows = [item for item in session.index() if isinstance(item, Row)]
+    shown = [row for row, _, problem in session.pictures(rows) if problem is None]
+    assert killed_ns - shown[-1].wall_ns < 1e9
+    comparison = Comparison(session)
+    for frame, results in measured_as_recorded(session):
+        comparison.accept(frame, results)
+    assert comparison.same, comparison.lines()
+    assert comparison.equal >= 9
