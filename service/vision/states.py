@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.compiled import compiled
+from service.vision.compiled import compiled, median_of
 from service.vision.measurement import TubeState
 
 if TYPE_CHECKING:
@@ -22,6 +22,8 @@ __all__ = ["tube_states"]
 NEARBY = 3.0
 """How far, in rows and columns, the open tubes may stand that a place is compared with."""
 LEAST_NEARBY = 3
+FAINT = 0.5
+"""A rim measured with less than this part of the usual edge may be a plug's: its bore is looked at."""
 BRIGHT = 0.5
 """A bore brighter than its neighbours' by this share of their edges' height is not open."""
 DARK = 0.3
@@ -32,8 +34,11 @@ RELIEF = 0.22
 def tube_states(sites: Sites, rims: Rims, used: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """State of each place, (n,) uint8 of `TubeState`; UNKNOWN where it is too dark or covered to tell."""
     state = np.where(used, TubeState.OPEN, TubeState.UNKNOWN).astype(np.uint8)
-    rest = np.flatnonzero(~used & (rims.rays > 0))
-    if not len(rest) or not used.any():
+    if not used.any():
+        return state
+    faint = used & (rims.gain < FAINT * median_of(rims.gain[used]))
+    rest = np.flatnonzero((~used | faint) & (rims.rays > 0))
+    if not len(rest):
         return state
     gain, bore = np.empty(len(rest)), np.empty(len(rest))
     _neighbours(sites.row, sites.column, used, rims.gain.copy(), rims.bore.copy(), rest, gain, bore)
@@ -42,10 +47,10 @@ def tube_states(sites: Sites, rims: Rims, used: NDArray[np.bool_]) -> NDArray[np
     inside = (rims.bore[rest] - bore) / height
     step = (rims.outside[rest] - rims.bore[rest]) / height
     relief = (mean.max(axis=1) - mean.min(axis=1)) / height
-    told = gain > 0
+    told, shows_rim = gain > 0, faint[rest] | (relief >= RELIEF)
     state[rest[told & (inside < DARK) & (step > BRIGHT * DARK)]] = TubeState.OPEN
-    state[rest[told & (inside > BRIGHT) & (relief >= RELIEF)]] = TubeState.PLUGGED
-    state[rest[told & (inside > BRIGHT) & (relief < RELIEF)]] = TubeState.ABSENT
+    state[rest[told & (inside > BRIGHT) & shows_rim]] = TubeState.PLUGGED
+    state[rest[told & (inside > BRIGHT) & ~shows_rim]] = TubeState.ABSENT
     return state
 
 
