@@ -16,6 +16,7 @@ from service.vision.lattice import Arrangement, Lattice
 from service.vision.measurement import Doubt, Lock, Measurement, Tubes
 from service.vision.projection import project
 from service.vision.selfcalibration import calibrate
+from service.vision.staleness import CalibrationWatch
 from service.vision.stopwatch import Stopwatch
 from service.vision.tracking import Tracker
 from service.vision.view import View
@@ -66,6 +67,7 @@ class Measurer:
     def reset(self) -> None:
         """Forget what earlier pictures showed."""
         self._tracker = Tracker(self._camera, self._lattice)
+        self._calibration = CalibrationWatch(self._camera, self._lattice)
         self._interlace = Interlace()
         self._time_ns: int | None = None
         self._period_ns = USUAL_PERIOD_NS
@@ -156,22 +158,22 @@ class Measurer:
         if found.refined is None:
             return Measurement(name, Lock.NONE, found.reason, (), Tubes.none(), None, time_ns, watch.elapsed_ms())
         pose, tubes = estimates(found.refined, self._lattice, self._camera, parity)
-        doubt = doubts(found, found.refined, pose, self._lattice)
+        doubt = doubts(found, found.refined, pose, self._lattice, self._calibration.look(found.refined))
         lock = Lock.PARTIAL if doubt else Lock.FULL
         watch.lap("pose")
         view = View.of(found.refined)
         return Measurement(name, lock, None, doubt, tubes, pose, time_ns, watch.elapsed_ms(), view)
 
 
-def doubts(seen: Seen, refined: Refined, pose: Pose, lattice: Lattice) -> tuple[Doubt, ...]:
-    """What a locked pose is unsure of."""
+def doubts(seen: Seen, refined: Refined, pose: Pose, lattice: Lattice, stale: bool) -> tuple[Doubt, ...]:
+    """What a locked pose is unsure of; `stale`: whether pictures have contradicted the calibration."""
     radius = lattice.rim_radius_mm * median_of(np.hypot(refined.place[:, 0, 0], refined.place[:, 0, 1]))
     found = {
         Doubt.INDEX: seen.index_in_doubt,
         Doubt.SCALE: pose.sigma.distance_mm > UNSURE_SCALE * pose.distance_mm,
         Doubt.FOCUS: refined.common.profile.width_px > max(BLURRED * radius, BLURRED_PX),
         Doubt.LIGHT: refined.used.mean() < DIM_SHARE,
-        Doubt.CALIBRATION: refined.fit.scatter_factor > STALE,
+        Doubt.CALIBRATION: stale or refined.fit.scatter_factor > STALE,
     }
     return tuple(doubt for doubt, there in found.items() if there)
 
