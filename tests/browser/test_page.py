@@ -54,6 +54,7 @@ def open_page(chromium):
     for served, page in opened:
         complaints = [c for c in page.complaints if "401" not in c and "409" not in c and "WebSocket" not in c]
         elsewhere = [url for url in page.requests if not url.startswith((served.url, f"ws://127.0.0.1:{served.port}/"))]
+        page.ask("Network.clearBrowserCookies")  # the next test may get the same port
         page.ask("Page.close")
         served.__exit__()
         assert complaints == []
@@ -304,5 +305,6 @@ def test_the_real_service_with_a_source_that_fails(chromium, monkeypatch, tmp_pa
             page.wait(f"document.body.dataset.liveness === {word!r}")
         assert page.run("document.querySelectorAll('#alarmlist li.gone').length") == 3
         assert "FROZEN" in page.text("#alarmlist li")
+        page.close()
     finally:
         service.join(90)
