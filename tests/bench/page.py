@@ -63,7 +63,8 @@ class Service:
         processed = re.search(r"([\d,]+) delivered = ([\d,]+) processed", self.summary)
         timing = re.search(r"latency p50 ([\d.]+) ms, p99 ([\d.]+) ms", self.summary)
         share = int(processed[2].replace(",", "")) / int(processed[1].replace(",", ""))
-        return f"measured {100 * share:5.1f} % of the frames, p50 {timing[1]} ms, p99 {timing[2]} ms; {self._cores:.2f} cores"
+        within = f"p50 {timing[1]} ms, p99 {timing[2]} ms; {self._cores:.2f} cores"
+        return f"measured {100 * share:5.1f} % of the frames, {within}"
 
 
 async def watch(url: str, seconds: float) -> list[float]:
@@ -107,10 +108,8 @@ def main(seconds: float) -> None:
         with Service(Path(folder)) as service:
             ages = asyncio.run(watch_all(service.url, seconds))
         p50, p95 = np.percentile(ages, [50, 95])
-        print(
         rate = len(ages) / seconds / PAGES
         print(f"{f'camera to {PAGES} pages':34} p50 {p50:5.1f} ms, p95 {p95:5.1f} ms ({rate:.1f}/s each)")
-        )
         print(f"{f'{PAGES} pages':34} {service.timing()}")
 
 
