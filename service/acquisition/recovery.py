@@ -47,7 +47,8 @@ class Recovery:
     def __init__(self, supervision: Supervision, clock: Clock) -> None:
         self._supervision, self._clock = supervision, clock
         self._rng = supervision.rng or random.Random()  # noqa: S311 - spreads pauses, keeps no secret
-        self._failures = 0
+        self.failures = 0
+        """Attempts that failed since it last streamed steadily, or was last found absent."""
         self._stream_ns = self._since_ns = self._reset_ns = -math.inf
         self.trouble = ""
         """In words, what it recovers from; empty while nothing is wrong."""
@@ -61,7 +62,7 @@ class Recovery:
         """Take note of a frame; in words, how it was got back, where it is the first one after a failure."""
         now_ns = self._clock.monotonic_ns()
         if not bad and now_ns - self._stream_ns > STEADY_S * 1e9:
-            self._failures = 0
+            self.failures = 0
         if not self.trouble:
             return None
         self.trouble = ""
@@ -83,8 +84,8 @@ class Recovery:
             self._since_ns = now_ns
         self.trouble = words
         may_reset = self._supervision.reset is not None and now_ns - self._reset_ns >= RESET_EVERY_S * 1e9
-        step = next_step(trouble, self._failures, self._supervision.settings, streams=streams, may_reset=may_reset)
-        self._failures = 0 if trouble is Trouble.ABSENT else self._failures + 1
+        step = next_step(trouble, self.failures, self._supervision.settings, streams=streams, may_reset=may_reset)
+        self.failures = 0 if trouble is Trouble.ABSENT else self.failures + 1
         return Step(step.rung, jittered(step.pause_s, self._rng))
 
     def reset(self) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import threading
 from typing import TYPE_CHECKING, Final
 
+from service.acquisition.device import Device
 from service.acquisition.liveness import Evidence, Liveness, Shown, shown
 from service.acquisition.recovery import Recovery, Supervision
-from service.acquisition.thread import UNSUPERVISED, AcquisitionThread, Tell
+from service.acquisition.tell import Tell
+from service.acquisition.thread import UNSUPERVISED, AcquisitionThread
 from service.acquisition.watchdog import is_hung
 
 if TYPE_CHECKING:
@@ -16,6 +18,7 @@ if TYPE_CHECKING:
     from drivers.grabber import FrameFormat, Grabber
     from service.acquisition.health import AcquisitionState
     from service.acquisition.intake import Intake
+    from service.acquisition.watchdog import Call
 
 __all__ = ["Supervisor"]
 
@@ -56,18 +59,19 @@ class Supervisor:
         measuring_ns: Callable[[], int | None] = lambda: None,
     ) -> None:
         self._intake, self._kind, self._prepare, self._supervision = intake, kind, prepare, supervision
+        self._suspect: Call | None = None
         self._clock, self._name, self._measuring_ns = grabber.clock, grabber.name, measuring_ns
         self._tell = Tell(grabber.name, tell)
         self._recovery = None if supervision is None else Recovery(supervision, grabber.clock)
         self._replacing = threading.Lock()
         self._over, self._watched = threading.Event(), threading.Event()
-        self._owner = self._owned(grabber)
+        self._owner = self._owned(Device(grabber, prepare))
         self._left: list[AcquisitionThread] = []
         self._told_of: Shown | None = None
         self._thread = threading.Thread(target=self._watch, name="bowlsight-supervision", daemon=True)
 
-    def _owned(self, grabber: Grabber, takes_over: str | None = None) -> AcquisitionThread:
-        return AcquisitionThread(grabber, self._intake, self._tell, self._prepare, self._recovery, takes_over)
+    def _owned(self, device: Device, takes_over: str | None = None) -> AcquisitionThread:
+        return AcquisitionThread(device, self._intake, self._tell, self._recovery, takes_over)
 
     # -- called from outside -------------------------------------------------------------------------------------------
 
@@ -96,8 +100,8 @@ class Supervisor:
 
     def select_input(self, name: str) -> None:
         """Have the source switched to another of its inputs; raises ValueError where it has none of that name."""
-        if name not in self._owner.inputs:
-            raise ValueError(f"{self._name} has no input {name!r}; it offers {', '.join(self._owner.inputs) or 'none'}")
+        if name not in self.inputs:
+            raise ValueError(f"{self._name} has no input {name!r}; it offers {', '.join(self.inputs) or 'none'}")
         self._owner.ask_for_input(name)
 
     @property
@@ -113,12 +117,12 @@ class Supervisor:
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the source's inputs, once open."""
-        return self._owner.inputs
+        return self._owner.device.inputs
 
     @property
     def input(self) -> str:
         """Name of the input in use; empty before it was open."""
-        return self._owner.input or ""
+        return self._owner.device.input or ""
 
     @property
     def recoveries(self) -> int:
@@ -134,7 +138,7 @@ class Supervisor:
             trouble="" if self._recovery is None else self._recovery.trouble,
             since_ns=None if last is None else last.time_ns,
             started=last is not None and last.started,
-            rate_hz=None if owner.format is None else owner.format.rate_hz,
+            rate_hz=None if owner.device.format is None else owner.device.format.rate_hz,
             late_ns=0 if last is None else last.late_ns,
             content=None if watch is None else watch.content,
             measuring_ns=self._measuring_ns(),
@@ -161,10 +165,14 @@ class Supervisor:
             self._tell(str(now), "INFO" if now.good or now.liveness is Liveness.STARTING else "WARN")
 
     def _replace_if_hung(self) -> None:
-        call, supervision = self._owner.call, self._supervision
+        """Replace the thread where its call hangs, seen twice: a process that was halted hangs for one look only."""
+        call, supervision = self._owner.device.call, self._supervision
         if call is None or supervision is None or supervision.remake is None:
             return
         if not is_hung(self._clock.monotonic_ns(), call, supervision.settings.hung_s):
+            return
+        seen_before, self._suspect = self._suspect is call, call
+        if not seen_before:
             return
         self._left = [thread for thread in self._left if not thread.join(0)]
         if len(self._left) < MOST_LEFT_BEHIND:
@@ -177,5 +185,5 @@ class Supervisor:
             stuck = self._owner
             stuck.leave_behind()
             self._left.append(stuck)
-            self._owner = self._owned(grabber, takes_over=doing)
+            self._owner = self._owned(Device(grabber, self._prepare, like=stuck.device), takes_over=doing)
             self._owner.take_over()

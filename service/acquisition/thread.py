@@ -17,48 +17,33 @@ from drivers.errors import (
     DeviceTimeoutError,
     EndOfRecordingError,
 )
-from drivers.grabber import GrabberState
 from service.acquisition.content import NO_SIGNAL_WORDS, frozen, no_picture
 from service.acquisition.health import AcquisitionState
 from service.acquisition.ladder import Rung
-from service.acquisition.watchdog import Call, is_stalled, silence_limit_s
+from service.acquisition.tell import Tell
+from service.acquisition.watchdog import is_stalled, silence_limit_s
 from service.config.supervision import SupervisionSettings
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
     from drivers.frame import Frame
-    from drivers.grabber import Clock, FrameFormat, Grabber
+    from drivers.grabber import Clock, FrameFormat
+    from service.acquisition.device import Device
     from service.acquisition.intake import Intake
     from service.acquisition.ladder import Step
     from service.acquisition.recovery import Recovery
 
-__all__ = ["AcquisitionThread", "Tell"]
+__all__ = ["AcquisitionThread"]
 
 log = logging.getLogger(__name__)
 
 READ_TIMEOUT_S: Final = 0.1
 LOOK_S: Final = 1.0
 """How often the device is asked for its signal and input."""
+MOST_DOUBLINGS: Final = 6
+"""Of the time after which a frozen picture has its source restarted: where that does not help, it seldom will."""
 PAUSE_S: Final = 0.05
 """Longest single sleep: how soon a pause ends when a stop is asked for."""
-OPEN_S, START_S, CLOSE_S, ASK_S, RESET_S = 5.0, 3.0, 2.0, 1.0, 5.0
-"""What calls of a driver may take; see `watchdog.is_hung`."""
 UNSUPERVISED: Final = SupervisionSettings()
-
-
-class Tell:
-    """Says what happens to the source: into the log, and to whoever shows events."""
-
-    def __init__(self, source: str, listener: Callable[[str, str], None] | None = None) -> None:
-        self._source, self._listener = source, listener
-
-    def __call__(self, text: str, level: str = "WARN") -> None:
-        """Tell a line of text: INFO, WARN or ERROR."""
-        line = text if text.startswith(self._source) else f"{self._source}: {text}"
-        log.log({"INFO": logging.INFO, "WARN": logging.WARNING}.get(level, logging.ERROR), "%s", line)
-        if self._listener is not None:
-            self._listener(line, level)
 
 
 class AcquisitionThread:
@@ -66,14 +51,12 @@ class AcquisitionThread:
 
     Parameters
     ----------
-    grabber
-        Closed; from `open` on only this thread touches it.
+    device
+        Closed; from `open` on only this thread calls it.
     intake
         Where its frames go.
     tell
         Says what happens to it.
-    prepare
-        Called whenever the grabber is open and does not stream: sets input, standard and controls.
     recovery
         Gets it back when it fails; None: every failure is final, as with recordings.
     takes_over
@@ -82,18 +65,17 @@ class AcquisitionThread:
 
     def __init__(
         self,
-        grabber: Grabber,
+        device: Device,
         intake: Intake,
         tell: Tell | None = None,
-        prepare: Callable[[Grabber], None] | None = None,
         recovery: Recovery | None = None,
         takes_over: str | None = None,
     ) -> None:
-        self._grabber, self._intake, self._prepare, self._recovery = grabber, intake, prepare, recovery
-        self._tell = tell or Tell(grabber.name)
+        self.device, self._intake, self._recovery = device, intake, recovery
+        self._tell = tell or Tell(device.name)
         self._settings = UNSUPERVISED if recovery is None else recovery.settings
         self._takes_over = takes_over
-        self._clock: Clock = grabber.clock
+        self._clock: Clock = device.clock
         self._stop = threading.Event()
         self._opened = threading.Event()
         self._begin = threading.Event()
@@ -104,11 +86,6 @@ class AcquisitionThread:
         self._look_ns = 0
         self._told: tuple[type[Exception], Rung] | None = None
         self._thread = threading.Thread(target=self._run, name="bowlsight-acquisition", daemon=True)
-        self.call: Call | None = None
-        """The call of the driver under way."""
-        self.format: FrameFormat | None = None
-        self.inputs: tuple[str, ...] = ()
-        self.input: str | None = None
         self.state = AcquisitionState.CLOSED
         self.failure: Exception | None = None
         """What ended it, where that was neither a stop nor the end of a recording."""
@@ -121,11 +98,11 @@ class AcquisitionThread:
         self._thread.start()
         if not self._opened.wait(timeout_s):
             self.request_stop()
-            raise DeviceTimeoutError(self._grabber.name, f"did not open within {timeout_s:g} s; is the device hung?")
+            raise DeviceTimeoutError(self.device.name, f"did not open within {timeout_s:g} s; is the device hung?")
         if self.failure is not None:
             raise self.failure
-        assert self.format is not None
-        return self.format
+        assert self.device.format is not None
+        return self.device.format
 
     def take_over(self) -> None:
         """Start the thread where the one before it is stuck."""
@@ -171,7 +148,7 @@ class AcquisitionThread:
         except (DeviceError, ConfigError) as error:
             self._fail(AcquisitionState.FAULTED, error)
         except Exception as error:  # whatever a driver does, the service ends in order
-            log.exception("%s: the driver failed in a way it does not announce", self._grabber.name)
+            log.exception("%s: the driver failed in a way it does not announce", self.device.name)
             self._fail(AcquisitionState.FAULTED, error)
         finally:
             self._let_go()
@@ -206,27 +183,9 @@ class AcquisitionThread:
         self.state = AcquisitionState.BACKING_OFF
         return self._recovery.after_hang(f"{self._takes_over} does not return")
 
-    @contextlib.contextmanager
-    def _calling(self, doing: str, allowed_s: float) -> Iterator[None]:
-        """Note what the driver is called for: a watchdog sees to it that this ends."""
-        self.call = Call(doing, self._clock.monotonic_ns(), allowed_s)
-        try:
-            yield
-        finally:
-            self.call = None
-
     def _open(self) -> None:
-        grabber, before = self._grabber, self.format
-        with self._calling("opening", OPEN_S):
-            grabber.open()
-            if self._prepare is not None:
-                self._prepare(grabber)
-            self.inputs = tuple(i.name for i in grabber.inputs)
-            if self.input in self.inputs and grabber.input != self.input:
-                grabber.select_input(self.input)
-            self.input = grabber.input
-            self.format = grabber.format
-        self._tell_of_format(before, self.format)
+        before = self.device.format
+        self._tell_of_format(before, self.device.open())
 
     def _tell_of_format(self, before: FrameFormat | None, now: FrameFormat) -> None:
         if before is not None and (before.width_px, before.height_px) != (now.width_px, now.height_px):
@@ -237,21 +196,16 @@ class AcquisitionThread:
 
     def _stream(self) -> None:
         """Start, and read until something goes wrong or a stop is asked for."""
-        self._intake.begin_stream(self._grabber.generation)
+        self._intake.begin_stream(self.device.generation)
         if self._recovery is not None:
             self._recovery.begin_stream()
-        with self._calling("starting", START_S):
-            self._grabber.start()
+        self.device.start()
         self._look_ns = 0
         while not self._stop.is_set():
             self._read_once()
 
     def _read_once(self) -> None:
-        try:
-            with self._calling("reading", READ_TIMEOUT_S):
-                frame = self._grabber.read(self._patience_s())
-        except TimeoutError:
-            frame = None
+        frame = self.device.read(self._patience_s())
         if frame is not None:
             self._take(frame)
         self._switch_as_asked()
@@ -290,13 +244,13 @@ class AcquisitionThread:
             return
         self.state = AcquisitionState.STALLED
         if self._recovery is not None and not self._is_without_signal():
-            raise DeviceTimeoutError(self._grabber.name, f"no frame for {limit_s:.1f} s")
+            raise DeviceTimeoutError(self.device.name, f"no frame for {limit_s:.1f} s")
 
     def _silence(self) -> tuple[int, float]:
         """Since when there is no frame, and how long that may be."""
         last = self._intake.last
         assert last is not None, "the stream began"
-        rate_hz = None if self.format is None else self.format.rate_hz
+        rate_hz = None if self.device.format is None else self.device.format.rate_hz
         return last.time_ns, silence_limit_s(self._settings, rate_hz, started=last.started)
 
     def _is_without_signal(self) -> bool:
@@ -307,22 +261,22 @@ class AcquisitionThread:
 
     def _check_frozen(self) -> None:
         watch, settings = self._intake.watch, self._settings
-        if watch is None or no_picture(watch.content, settings.frozen_frames):
+        if self._recovery is None or watch is None or no_picture(watch.content, settings.frozen_frames):
             return
         frozen_s = (self._clock.monotonic_ns() - watch.content.same_since_ns) / 1e9
-        if frozen(watch.content, settings.frozen_frames) and frozen_s > settings.frozen_restart_s:
-            raise DeviceTimeoutError(self._grabber.name, f"its picture has been frozen for {frozen_s:.0f} s")
+        patience_s = settings.frozen_restart_s * 2.0 ** min(self._recovery.failures, MOST_DOUBLINGS)
+        if frozen(watch.content, settings.frozen_frames) and frozen_s > patience_s:
+            raise DeviceTimeoutError(self.device.name, f"its picture has been frozen for {frozen_s:.0f} s")
 
     def _look(self) -> None:
         """Ask the device for its signal, and whether it is still switched to the input that it was given."""
         self._look_ns = self._clock.monotonic_ns() + int(LOOK_S * 1e9)
-        with self._calling("asking for its signal", ASK_S):
-            signal, now = self._grabber.signal_status(), self._grabber.input
+        expected, (signal, now) = self.device.input, self.device.look()
         if self._intake.watch is not None:
             self._intake.watch.signalled(signal)
-        if now != self.input and self.input is not None:
-            self._tell(f"somebody switched it to input {now}; switching back to {self.input}")
-            self._switch(self.input)
+        if now != expected and expected is not None:
+            self._tell(f"somebody switched it to input {now}; switching back to {expected}")
+            self._switch(expected)
 
     def _switch_as_asked(self) -> None:
         with contextlib.suppress(queue.Empty):
@@ -335,9 +289,7 @@ class AcquisitionThread:
                 self._tell(f"switched to input {name}", "INFO")
 
     def _switch(self, name: str) -> None:
-        with self._calling(f"switching to input {name}", ASK_S):
-            self._grabber.select_input(name)
-        self.input = name
+        self.device.select_input(name)
         self._intake.begin_view()
         self._look_ns = 0
 
@@ -345,14 +297,13 @@ class AcquisitionThread:
 
     def _next_step(self, error: Exception) -> Step:
         """What to try next; raises the error where trying again cannot help, or nobody wants it."""
-        streams = self._grabber.state is GrabberState.STREAMING
         step = None
         if self._recovery is not None and not isinstance(error, EndOfRecordingError):
-            step = self._recovery.after(error, streams=streams)
+            step = self._recovery.after(error, streams=self.device.streams)
         if step is None:
             raise error
         if not isinstance(error, DeviceError):
-            log.error("%s: the driver failed in a way it does not announce", self._grabber.name, exc_info=error)
+            log.error("%s: the driver failed in a way it does not announce", self.device.name, exc_info=error)
         gone = isinstance(error, (DeviceDisconnectedError, DeviceNotFoundError))
         self.state = AcquisitionState.LOST if gone else AcquisitionState.BACKING_OFF
         if (kind := (type(error), step.rung)) != self._told:  # the same again and again is told once
@@ -368,24 +319,20 @@ class AcquisitionThread:
         return not self._stop.is_set()
 
     def _climb(self, step: Step) -> None:
-        """Bring the grabber to where it can be started."""
-        grabber = self._grabber
-        if step.rung is Rung.RESTART and grabber.state is GrabberState.STREAMING:
-            with self._calling("stopping", CLOSE_S):
-                grabber.stop()
+        """Bring the device to where it can be started."""
+        if step.rung is Rung.RESTART:
+            self.device.stop()
             return
-        with self._calling("closing", CLOSE_S):
-            grabber.close()
+        self.device.close()
         if step.rung is Rung.RESET and self._recovery is not None:
-            with self._calling("resetting", RESET_S):
-                self._recovery.reset()
+            self.device.reset(self._recovery.reset)
         self._open()
 
     def _let_go(self) -> None:
         try:
-            self._grabber.close()
+            self.device.close()
         except Exception:
-            log.exception("%s: closing failed", self._grabber.name)
+            log.exception("%s: closing failed", self.device.name)
         with self._owning:
             if not self._left_behind:
                 self._intake.close()

@@ -1,6 +1,7 @@
 """Whatever a device does wrong, the ledger balances after it and agrees with the device's own account."""
 
 import gc
+import logging
 
 import numpy as np
 import pytest
@@ -63,7 +64,8 @@ def test_any_mixture_is_accounted_for(seed):
     assert health.recoveries > 5
 
 
-def test_a_thousand_replugs_leave_nothing_behind():
+def test_a_thousand_replugs_leave_nothing_behind(caplog):
+    caplog.set_level(logging.CRITICAL, "service")  # some thousand records are kept by the test's own machinery
     cycles, apart = 1000, 6
     faults = [Fault(FaultKind.DISCONNECT, apart * (i + 1), seconds=0.7) for i in range(cycles)]
     seen = []
@@ -79,8 +81,8 @@ def test_a_thousand_replugs_leave_nothing_behind():
     assert health.recoveries == cycles
     assert health.generation >= cycles + 1
     before, after = seen
-    assert after.fds == before.fds
-    assert after.threads == before.threads
+    assert after.fds <= before.fds  # fewer, where what an earlier test left behind is collected meanwhile
+    assert after.threads <= before.threads
     assert after.rss_bytes - before.rss_bytes < 4 * 2**20
 
 

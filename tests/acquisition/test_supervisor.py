@@ -237,12 +237,12 @@ def test_what_is_shown_follows_the_source(rig):
 class PictureGrabber(LiveGrabber):
     """Gives each frame a picture of its own, or the same again and again."""
 
-    still = False
+    still, period_s = False, 0.04
 
     def _do_read(self, timeout_s):
         frame = super()._do_read(timeout_s)
         pixels = np.random.default_rng(0 if self.still else frame.sequence).integers(0, 255, (48, 64), np.uint8)
-        self.clock.advance(0.04)
+        self.clock.advance(self.period_s)
         return make_picture(frame, pixels, self.clock)
 
 
@@ -465,3 +465,31 @@ def test_a_stop_while_the_device_hangs_leaves_it(rig):
     r.supervisor.request_stop()
     assert not r.supervisor.join(0)
     hang.release.set()
+
+
+def test_the_operator_s_input_is_kept_by_the_thread_that_takes_over(rig):
+    clock, hang = HurriedClock(), Hang()
+
+    def ask():
+        r.supervisor.select_input("B")
+        return 0
+
+    first, second = LiveGrabber([ask, 1, hang], clock=clock), LiveGrabber([0], clock=clock)
+    r = rig(grabber=first, clock=clock, remake=lambda: second)
+    r.begin()
+    assert hang.entered.wait(PATIENCE_S)
+    clock.advance(10)
+    assert waited_for(lambda: second.state == "streaming" or second.calls)
+    assert r.supervisor.join(PATIENCE_S)
+    assert second.calls == ["open", "select B", "start"]
+    assert r.supervisor.input == "B"
+    hang.release.set()
+    assert waited_for(lambda: first.state == "closed")
+
+
+def test_a_picture_that_stays_frozen_has_its_source_restarted_more_and_more_seldom(rig):
+    clock = ManualClock()
+    grabber = PictureGrabber(itertools.repeat(0, 8_000), clock=clock)
+    grabber.still, grabber.period_s = True, 0.1
+    rig(grabber=grabber, clock=clock, watch=True).run_to_the_end()
+    assert 5 <= grabber.calls.count("start") <= 8  # after 10, 30, 70, 150, 310, 630 s of 800

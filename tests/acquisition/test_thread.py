@@ -10,6 +10,7 @@ from drivers.errors import (
     DeviceStateError,
     DeviceTimeoutError,
 )
+from service.acquisition.device import Device
 from service.acquisition.health import AcquisitionState
 from service.acquisition.intake import Intake
 from service.acquisition.ledger import Ledger
@@ -27,7 +28,7 @@ class Rig:
         self.hand_over = FrameQueue(1000) if hand_over is None else hand_over
         self.ledger = Ledger()
         self.intake = Intake(self.hand_over, self.ledger, subscribers, self.grabber.clock, None)
-        self.thread = AcquisitionThread(self.grabber, self.intake, prepare=prepare)
+        self.thread = AcquisitionThread(Device(self.grabber, prepare), self.intake)
 
     def run_to_the_end(self):
         self.thread.open(PATIENCE_S)
