@@ -19,6 +19,7 @@ __all__ = [
     "StreamFormat",
     "StreamSize",
     "TransferKind",
+    "Unit",
     "VideoFunction",
     "VideoStream",
     "video_functions",
@@ -27,6 +28,7 @@ __all__ = [
 INTERFACE, ENDPOINT, CLASS_INTERFACE = 0x04, 0x05, 0x24
 VIDEO_CLASS, CONTROL, STREAMING = 0x0E, 1, 2
 DIRECTION_IN = 0x80
+CAMERA_TERMINAL: Final = 0x0201
 GUID_TAIL: Final = bytes.fromhex("00001000800000aa00389b71")
 ENCODING_OF_CODE: Final = {
     b"YUY2": "YUYV",
@@ -121,6 +123,14 @@ class VideoStream:
         return next((a for a in self.alternates if a.kind is TransferKind.BULK), None)
 
 
+@dataclass(frozen=True, slots=True)
+class Unit:
+    """A unit or terminal with settings; id 0 is none. `controls` has a bit for each that it knows."""
+
+    id: int = 0
+    controls: int = 0
+
+
 @dataclass(slots=True)
 class VideoFunction:
     """A camera or grabber: its control interface and its streams.
@@ -133,6 +143,8 @@ class VideoFunction:
         Of the times in payload headers; 0 where they tell nothing.
     terminals
         Types of its input terminals (table B-2 and B-3), by their ids.
+    camera, processing
+        The terminal of its camera, where it has one, and the unit that works on its picture.
     selector, pins
         Id of the unit that switches between inputs, and the ids that lead to it; 0 where there is none.
     """
@@ -141,6 +153,8 @@ class VideoFunction:
     version: int = 0
     clock_hz: int = 0
     terminals: dict[int, int] = field(default_factory=dict)
+    camera: Unit = field(default_factory=Unit)
+    processing: Unit = field(default_factory=Unit)
     selector: int = 0
     pins: tuple[int, ...] = ()
     streams: list[VideoStream] = field(default_factory=list)
@@ -217,13 +231,24 @@ def _with_size(f: StreamFormat, size: StreamSize) -> StreamFormat:
 
 
 def _add_unit(function: VideoFunction, d: bytes) -> None:
-    """Read a header, an input terminal or a selector unit (tables 3-3, 3-4 and 3-6)."""
+    """Read a header, an input terminal, a selector or a processing unit (tables 3-3, 3-4, 3-6, 3-7 and 3-8)."""
     if d[2] == 0x01 and len(d) >= 11:
         function.version, function.clock_hz = _u16(d, 3), _u32(d, 7)
     elif d[2] == 0x02 and len(d) >= 6:
         function.terminals[d[3]] = _u16(d, 4)
+        if _u16(d, 4) == CAMERA_TERMINAL:
+            function.camera = _unit(d, 14)
     elif d[2] == 0x04 and len(d) >= 5 and d[4] and len(d) >= 5 + d[4]:
         function.selector, function.pins = d[3], tuple(d[5 : 5 + d[4]])
+    elif d[2] == 0x05:
+        function.processing = _unit(d, 7)
+
+
+def _unit(d: bytes, at: int) -> Unit:
+    """Read what settings a unit has: their number of bytes stands at `at`, one bit each behind it."""
+    if len(d) <= at or len(d) < at + 1 + d[at]:
+        return Unit()
+    return Unit(d[3], int.from_bytes(d[at + 1 : at + 1 + d[at]], "little"))
 
 
 def _format_of(d: bytes) -> StreamFormat | None:

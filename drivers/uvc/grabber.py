@@ -15,9 +15,10 @@ from drivers.errors import (
     UnsupportedFormatError,
 )
 from drivers.frame import Field
-from drivers.grabber import AcquisitionMode, Clock, FieldMode, FrameFormat, Grabber, GrabberState, Input
+from drivers.grabber import AcquisitionMode, Clock, Control, FieldMode, FrameFormat, Grabber, GrabberState, Input
 from drivers.identity import SYSFS
 from drivers.uvc.agreement import agree
+from drivers.uvc.controls import UvcControls
 from drivers.uvc.frames import UvcFrameMaker
 from drivers.uvc.inputs import INPUT_SELECT
 from drivers.uvc.link import open_link, the_usb_device
@@ -83,6 +84,7 @@ class UvcGrabber(Grabber):
         self._device, self._backend, self._sysfs = device, backend, sysfs
         self._wish, self._field_mode = Wish(size_px, encoding, rate_hz), field_mode
         self._agreement: Agreement | None = None
+        self._settings: UvcControls | None = None
         self._pending: deque[Frame] = deque()
         self._owed = 0.0
 
@@ -122,7 +124,7 @@ class UvcGrabber(Grabber):
             raise DeviceStateError(self.name, "is closed; open it first")
         return self._agreement
 
-    # -- inputs, fields ------------------------------------------------------------------------------------------------
+    # -- inputs, fields, controls --------------------------------------------------------------------------------------
 
     @property
     def inputs(self) -> tuple[Input, ...]:
@@ -180,6 +182,27 @@ class UvcGrabber(Grabber):
                 self.name, f"gives progressive pictures, which have no fields; field mode {mode}"
             )
 
+    def controls(self) -> tuple[Control, ...]:
+        """The settings the device offers, with their ranges."""
+        return self._table().all()
+
+    def control(self, name: str) -> float:
+        """Read a setting back from the device."""
+        if name not in self._table():
+            raise self._unsupported("control", name, [c.name for c in self.controls()])
+        return self._table().read(name)
+
+    def set_control(self, name: str, value: float) -> float:
+        """Change a setting to the nearest value that the device takes; gives that, read back."""
+        if name not in self._table():
+            raise self._unsupported("control", f"{name}={value}", [c.name for c in self.controls()])
+        return self._table().write(name, value)
+
+    def _table(self) -> UvcControls:
+        if self._settings is None:
+            self._settings = UvcControls(self._opened().link, self._opened().function)
+        return self._settings
+
     # -- lifecycle -----------------------------------------------------------------------------------------------------
 
     def _do_open(self) -> None:
@@ -195,6 +218,7 @@ class UvcGrabber(Grabber):
 
     def _do_close(self) -> None:
         agreement, self._agreement = self._agreement, None
+        self._settings = None
         if agreement is not None:
             agreement.link.close()
 

@@ -83,11 +83,11 @@ class UsbLink:
         )
         return bytes(told)
 
-    def get(self, selector: int, interface: int, length: int, *, entity: int = 0) -> bytes:
+    def get(self, selector: int, interface: int, length: int, *, entity: int = 0, request: int = GET_CUR) -> bytes:
         """Read a class control of an interface or of a unit in it; the interface is claimed."""
         return bytes(
             self._device.ctrl_transfer(
-                FROM_INTERFACE, GET_CUR, selector << 8, entity << 8 | interface, length, REQUEST_MS
+                FROM_INTERFACE, request, selector << 8, entity << 8 | interface, length, REQUEST_MS
             )
         )
 

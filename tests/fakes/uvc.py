@@ -11,7 +11,13 @@ BULK_ENDPOINT, PACKET_BYTES = 0x81, 512
 GUID_TAIL = bytes.fromhex("00001000800000aa00389b71")
 GUIDS = {"YUYV": b"YUY2", "UYVY": b"UYVY", "NV12": b"NV12", "GREY": b"Y800", "Y16": b"Y16 ", "H264": b"H264"}
 SELECTOR_UNIT, PROCESSING_UNIT = 5, 6
-BRIGHTNESS = 2
+SETTINGS = {(PROCESSING_UNIT, 2): (2, 0, 255, 1, 128)}
+"""By entity and selector: bytes, minimum, maximum, step, default."""
+BITS = {
+    PROCESSING_UNIT: {1: 8, 2: 0, 3: 1, 4: 9, 6: 2, 7: 3, 11: 12},
+    1: {2: 1, 3: 2, 4: 3, 6: 5, 8: 17},
+}
+"""Bits in bmControls, by entity and selector."""
 STRINGS = ("Lab", "Fake UVC grabber")
 
 
@@ -83,6 +89,9 @@ class FakeUvcDevice:
     payload_bytes: int = 3072
     header_bytes: int = 12
     picture: object = noise
+    settings_there: dict = field(default_factory=lambda: dict(SETTINGS))
+    camera: bool = False
+    """Whether its first input is a camera, with settings of its own."""
     faults: dict = field(default_factory=dict)
     refused: set = field(default_factory=set)
     """Requests that it stalls, as (interface, entity, selector)."""
@@ -92,7 +101,7 @@ class FakeUvcDevice:
     def __post_init__(self):
         self.streaming = False
         self.channel = 1
-        self.brightness = 128
+        self.values = {place: usual for place, (*_, usual) in self.settings_there.items()}
         self.commits = 0
         self.settings = {"format": 1, "size": 1, "interval": self.intervals[0]}
         self.fid = 0
@@ -117,14 +126,21 @@ class FakeUvcDevice:
         return descriptor(2, (9 + len(body), 2), 2, 1, 0, 0x80, 250) + body
 
     def _control_interface(self) -> bytes:
-        terminals = b"".join(descriptor(0x24, 2, n + 1, (0x0401, 2), 0, 0) for n in range(self.inputs))
+        terminals = b"".join(descriptor(0x24, 2, n + 1, (0x0401, 2), 0, 0) for n in range(self.camera, self.inputs))
+        if self.camera:
+            terminals += descriptor(0x24, 2, 1, (0x0201, 2), 0, 0, *[0] * 6, 3, (self._bits(1), 3))
         selector = descriptor(0x24, 4, SELECTOR_UNIT, self.inputs, *range(1, self.inputs + 1), 0)
-        processing = descriptor(0x24, 5, PROCESSING_UNIT, SELECTOR_UNIT, (0, 2), 2, (1, 2), 0)
+        processing = descriptor(0x24, 5, PROCESSING_UNIT, SELECTOR_UNIT, (0, 2), 2, (self._bits(PROCESSING_UNIT), 2), 0)
         if self.version >= 0x0110:
-            processing = descriptor(0x24, 5, PROCESSING_UNIT, SELECTOR_UNIT, (0, 2), 2, (1, 2), 0, 0)
+            processing = descriptor(
+                0x24, 5, PROCESSING_UNIT, SELECTOR_UNIT, (0, 2), 2, (self._bits(PROCESSING_UNIT), 2), 0, 0
+            )
         units = terminals + selector + processing + descriptor(0x24, 3, 7, (0x0101, 2), 0, PROCESSING_UNIT, 0)
         header = descriptor(0x24, 1, (self.version, 2), (13 + len(units), 2), (self.clock_hz, 4), 1, 1)
         return descriptor(4, 0, 0, 0, 0x0E, 1, 0, 0) + header + units
+
+    def _bits(self, entity: int) -> int:
+        return sum(1 << BITS[entity][selector] for e, selector in self.settings_there if e == entity)
 
     def _streaming_interface(self) -> bytes:
         formats = b"".join(self._format(n + 1, e) for n, e in enumerate(self.encodings))
@@ -187,21 +203,26 @@ class FakeUvcDevice:
         if (interface, entity) == (1, 0) and selector in (1, 2):
             return self._negotiate(request, selector, data)
         if (interface, entity, selector) == (0, SELECTOR_UNIT, 1):
-            return self._byte(request, "channel", 1, self.inputs, data, size=1)
-        if (interface, entity, selector) == (0, PROCESSING_UNIT, BRIGHTNESS):
-            return self._byte(request, "brightness", 0, 255, data, size=2)
+            if request == 1:
+                self.channel = data[0]
+            return self._about(request, 1, 1, self.inputs, 1, 1, self.channel)
+        if interface == 0 and (entity, selector) in self.values:
+            size, *limits = self.settings_there[entity, selector]
+            if request == 1:
+                self.values[entity, selector] = int.from_bytes(data, "little", signed=limits[0] < 0)
+            return self._about(request, size, *limits, self.values[entity, selector])
         raise StallError
 
-    def _byte(self, request: int, name: str, least: int, most: int, data: bytes, *, size: int) -> bytes:
+    def _about(self, request: int, size: int, least: int, most: int, step: int, usual: int, now: int) -> bytes:
+        """Answer a request about a setting."""
         if request == 1:
-            setattr(self, name, data[0])
             return b""
-        answers = {0x81: getattr(self, name), 0x82: least, 0x83: most, 0x84: 1, 0x86: 3, 0x87: least}
         if request == 0x85:
             return size.to_bytes(2, "little")
+        answers = {0x81: now, 0x82: least, 0x83: most, 0x84: step, 0x86: 3, 0x87: usual}
         if request not in answers:
             raise StallError
-        return answers[request].to_bytes(1 if request == 0x86 else size, "little")
+        return answers[request].to_bytes(1 if request == 0x86 else size, "little", signed=least < 0)
 
     def _negotiate(self, request: int, selector: int, data: bytes) -> bytes:
         if request == 1:
