@@ -17,7 +17,7 @@ from drivers.errors import (
 )
 from drivers.grabber import GrabberState
 from drivers.opening import bus_reset, open_grabber
-from tests.fakes.uvc import number_in, numbered
+from tests.fakes.uvc import PROCESSING_UNIT, number_in, numbered
 from tests.kernel.conftest import USB, read_until, reopened, replugged, settled, streaming
 
 
@@ -72,6 +72,14 @@ def test_four_inputs_are_switched_while_streaming(grabber):
         grabber.select_input(f"Composite {channel + 1}")
         assert grabber.input == f"Composite {channel + 1}"
         settled(lambda channel=channel: number_in(grabber.read(10.0).pixels)[1] == channel, "the other input's picture")
+
+
+def test_settings_are_changed_and_read_back(bare_socket, grabber):
+    grabber.open()
+    ((brightness,)) = [c for c in grabber.controls() if c.name == "brightness"]
+    assert (brightness.minimum, brightness.maximum, brightness.default) == (0, 255, 128)
+    assert grabber.set_control("brightness", 200) == grabber.control("brightness") == 200
+    assert bare_socket.device.values[PROCESSING_UNIT, 2] == 200
 
 
 def test_bad_frames_are_told(bare_socket, grabber):

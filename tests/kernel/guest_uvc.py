@@ -16,7 +16,7 @@ from drivers.frame import Field
 from drivers.grabber import GrabberState
 from drivers.identity import find_usb_devices, find_video_nodes
 from drivers.opening import bus_reset, open_grabber
-from tests.fakes.uvc import number_in, numbered
+from tests.fakes.uvc import PROCESSING_UNIT, number_in, numbered
 from tests.kernel.conftest import USB, read_until, reopened, replugged, settled, streaming
 
 
@@ -81,6 +81,14 @@ def test_four_inputs_are_switched_while_streaming(grabber):
         assert grabber.input == names[channel]
         settled(lambda channel=channel: number_in(grabber.read(10.0).pixels)[1] == channel, "the other input's picture")
     assert grabber.state is GrabberState.STREAMING
+
+
+def test_settings_are_changed_and_read_back(usb_socket, grabber):
+    grabber.open()
+    ((brightness,)) = [c for c in grabber.controls() if c.name == "brightness"]
+    assert (brightness.minimum, brightness.maximum, brightness.default) == (0, 255, 128)
+    assert grabber.set_control("brightness", 200) == grabber.control("brightness") == 200
+    assert usb_socket.device.values[PROCESSING_UNIT, 2] == 200
 
 
 @pytest.mark.parametrize("fault", ["err", "short"])
