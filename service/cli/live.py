@@ -13,6 +13,7 @@ from drivers.errors import ConfigError
 from service.acquisition.cross_check import CrossCheck
 from service.acquisition.live import STOP_S, LiveService
 from service.alignment.interpreter import Interpreter
+from service.cli.calibrating import calibration_sink
 from service.cli.inputs import fitting_camera
 from service.cli.kernels import compile_apart
 from service.cli.keys import pressed_keys
@@ -124,10 +125,17 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         if recorder is not None:
             recorder.event(text, level, kind="source")
 
+    calibrating = calibration_sink(live.camera, live.generator.lattice, args.calibrate, tell)
     service = LiveService(
         live.grabber,
         measurer_for,
-        [*viewing.sinks, *live.sinks, *([recorder] if recorder else []), *([console.sink] if console else [])],
+        [
+            *viewing.sinks,
+            *live.sinks,
+            *([calibrating] if calibrating else []),
+            *([recorder] if recorder else []),
+            *([console.sink] if console else []),
+        ],
         prepare=prepare,
         every_frame=live.every_frame,
         field=live.measuring.field_order.field,
@@ -158,6 +166,8 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
             live.instruments.request_stop()
         service.stop(FLUSH_S if ended_by == "ended" else STOP_S)
     service.stuck.extend(live.instruments.stuck if live.instruments else ())
+    if calibrating is not None:
+        print(f"calibration: {calibrating.progress}")
     return _conclude(service, recorder, ended_by, time.monotonic() - began_s)
 
 

@@ -228,6 +228,15 @@ def _interpreting(p: _Parser) -> None:
     )
 
 
+def _calibrating(p: _Parser) -> None:
+    p.add_argument(
+        "--calibrate",
+        metavar="FILE",
+        type=Path,
+        help="calibrate the camera anew while it is tilted about, and keep this camera file up to date",
+    )
+
+
 # -- the commands ------------------------------------------------------------------------------------------------------
 
 
@@ -255,6 +264,7 @@ def _recording(p: _Parser) -> None:
 
 def _demo(p: _Parser) -> None:
     _metrics(p)
+    _calibrating(p)
     _viewer(p)
 
 
@@ -263,6 +273,7 @@ def _run(p: _Parser) -> None:
     _interpreting(p)
     _recording(p)
     _metrics(p)
+    _calibrating(p)
     _viewer(p)
 
 
@@ -284,6 +295,7 @@ def _replay(p: _Parser) -> None:
     _interpreting(p)
     _recording(p)
     _metrics(p)
+    _calibrating(p)
     _viewer(p)
 
 
