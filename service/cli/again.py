@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import itertools
 import math
 import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from drivers.session_index import Measured, Outside
 from drivers.session_replay import SessionGrabber
 from service.acquisition.measuring import FrameMeasurer
 from service.alignment.interpreter import Interpreter
@@ -24,7 +26,6 @@ if TYPE_CHECKING:
     from drivers.frame import Field, Frame
     from service.acquisition.cross_check import CrossCheck
     from service.config.generators import SteamGenerator
-    from service.config.station import Station
     from service.identity.counting import NamingRule
     from service.results import FrameResult
     from service.sinks.session.reader import RecordedSession
@@ -53,7 +54,7 @@ def measured_as_recorded(session: RecordedSession) -> Iterator[tuple[Frame, Sequ
     interpreter = interpreter_for(said, s.identity, s.alignment, s.generator)
     interpreter = recalled(session, interpreter, s.identity.rule(s.generator))
     return measured_again(
-        session, s.generator, s.camera, s.measuring.field_order.field, interpreter, recalled_check(session, s)
+        session, s.generator, s.camera, s.measuring.field_order.field, interpreter, recalled_check(session)
     )
 
 
@@ -62,9 +63,11 @@ def recalled(session: RecordedSession, interpreter: Interpreter | None, rule: Na
     return RecalledInterpreter(session, interpreter or Interpreter(TubeNamer(rule), None))
 
 
-def recalled_check(session: RecordedSession, s: Station) -> CrossCheck | None:
+def recalled_check(session: RecordedSession) -> CrossCheck | None:
     """What holds results against the instruments' readings that were recorded; None where there were none."""
-    return None if s.lens is None and s.range_finder is None else RecalledCheck(session)
+    until_first = itertools.takewhile(lambda item: not isinstance(item, Measured), session.index())
+    said = any(isinstance(item, Outside) and "readings" in item.values for item in until_first)
+    return RecalledCheck(session) if said else None
 
 
 def measured_again(

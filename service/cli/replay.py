@@ -84,7 +84,7 @@ def _session(args: argparse.Namespace, session: RecordedSession) -> int:
     live = _live(args, grabber, every_frame=True, sinks=[comparison])
     assert live.recording is not None, "replays can be recorded"
     interpreter = recalled(session, live.interpreter, live.recording.rule)
-    live = replace(live, interpreter=interpreter, check=recalled_check(session, station(args.config)))
+    live = replace(live, interpreter=interpreter, check=recalled_check(session))
     status = _check(session, live, comparison) if args.check else watch(live, args)
     for line in [*comparison.lines(), *_surroundings(session, comparison)]:
         print(line)
