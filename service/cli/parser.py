@@ -270,6 +270,7 @@ def _demo(p: _Parser) -> None:
 
 def _run(p: _Parser) -> None:
     _station(p)
+    p.add_argument("--wait", action="store_true", help="wait for a device that is not there yet, instead of ending")
     _interpreting(p)
     _recording(p)
     _metrics(p)

@@ -6,6 +6,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from drivers.automatics import lock_automatics
+from drivers.errors import DeviceBusyError, DeviceNotFoundError, DevicePermissionError
 from drivers.grabber import Standard
 from drivers.opening import bus_reset, open_grabber
 from drivers.replay import ReplayGrabber
@@ -19,6 +20,7 @@ from service.cli.interpreting import interpreter_for
 from service.cli.live import LiveRun, watch
 from service.cli.recording import RecordingChoice
 from service.cli.simulate import camera_of
+from service.cli.terminal import say
 from service.sinks.session.configuration import configuration
 
 if TYPE_CHECKING:
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from drivers.grabber import Grabber
     from service.config.station import SourceSettings, Station
 
-__all__ = ["run"]
+__all__ = ["run", "wait_for"]
 
 log = logging.getLogger(__name__)
 
@@ -37,6 +39,8 @@ def run(args: argparse.Namespace) -> int:
     """Grab and measure; returns the exit status."""
     s = station(args.config)
     grabber = _grabber(s)
+    if args.wait:
+        wait_for(grabber, s.supervision.look_s)
     recorded = isinstance(grabber, ReplayGrabber)
     kind, camera = Liveness.REPLAY if recorded else Liveness.LIVE, s.camera
     if isinstance(grabber, SimulatedGrabber):
@@ -70,6 +74,20 @@ def _grabber(s: Station) -> Grabber:
     if device == "simulated" and s.generator.key in GENERATORS:
         device = f"simulated:{s.generator.key}"
     return open_grabber(device)
+
+
+def wait_for(grabber: Grabber, look_s: float) -> None:
+    """Return once the device can be opened; as often as that takes, but for what waiting cannot help."""
+    said = ""
+    while True:
+        try:
+            with grabber:
+                return
+        except (DeviceNotFoundError, DeviceBusyError, DevicePermissionError) as error:
+            if type(error).__name__ != said:
+                said = type(error).__name__
+                say(f"{error}; waiting for it")
+        grabber.clock.sleep(look_s)
 
 
 def _supervision(s: Station) -> Supervision:
