@@ -208,6 +208,7 @@ class OpenCvGrabber(Grabber):
 
     def _do_start(self, mode: AcquisitionMode) -> None:
         self._owed = mode.frames_owed
+        self._pending.clear()
         self._pool = FramePool((self._granted.height_px, self._granted.width_px), np.uint8, POOL_FRAMES)
         self._stamps = StampCheck()
         self._freshness = Freshness(self._period_ns, self.clock.monotonic_ns())

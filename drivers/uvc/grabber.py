@@ -231,6 +231,7 @@ class UvcGrabber(Grabber):
             self.name, self.generation, granted.choice, self.format, clock_hz, own_numbers=own_numbers
         )
         self._owed = mode.frames_owed
+        self._pending.clear()
         self._payload_bytes = self._unsettled_until_ns = 0
         with agreement.link.told("cannot start"):
             agreement.begin()
@@ -253,13 +254,12 @@ class UvcGrabber(Grabber):
 
     def _do_read(self, timeout_s: float) -> Frame:
         deadline_ns = self.clock.monotonic_ns() + round(timeout_s * 1e9)
-        if not self._pending:
-            self._serve(timeout_s, deadline_ns)
+        left_s = timeout_s
         while not self._pending:
-            left_ns = deadline_ns - self.clock.monotonic_ns()
-            if left_ns <= 0:
+            self._serve(left_s, deadline_ns)
+            left_s = (deadline_ns - self.clock.monotonic_ns()) / 1e9
+            if left_s <= 0 and not self._pending:
                 raise DeviceTimeoutError(self.name, f"no frame within {timeout_s:g} s")
-            self._serve(left_ns / 1e9, deadline_ns)
         return self._pending.popleft()
 
     def _serve(self, timeout_s: float, deadline_ns: int) -> None:
@@ -274,7 +274,7 @@ class UvcGrabber(Grabber):
             return
         self._payload_bytes += len(data)
         # libusb hands over what it has when its time is up: without a short packet the payload goes on
-        broken_off = len(data) % bulk.packet_bytes == 0 and data and now_ns >= deadline_ns
+        broken_off = data and len(data) % bulk.packet_bytes == 0 and now_ns >= deadline_ns
         ends = (len(data) < size and not broken_off) or self._payload_bytes >= granted.payload_bytes
         if ends:
             self._payload_bytes = 0
