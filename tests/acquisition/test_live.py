@@ -7,7 +7,12 @@ import cv2
 import pytest
 
 from drivers.errors import ConfigError, DeviceDisconnectedError, DeviceNotFoundError
+from drivers.grabber import FieldMode
 from service.acquisition.live import LiveService
+from service.acquisition.recovery import Supervision
+from service.config.supervision import SupervisionSettings
+from tests.bench.faults import CountingGrabber, tiny_scene
+from tests.fakes.clock import ManualClock
 from tests.fakes.scripted import (
     PATIENCE_S,
     FakeMeasurer,
@@ -215,3 +220,15 @@ def test_the_interpreter_is_tuned_while_it_runs_and_left_as_it_was():
         assert sys.getswitchinterval() == pytest.approx(0.0005)
         assert cv2.getNumThreads() == 1
     assert sys.getswitchinterval() == before
+
+
+def test_single_fields_reach_vision_with_their_own_times():
+    frames = CountingGrabber(tiny_scene(interlaced=True), 30, clock=ManualClock(), field_mode=FieldMode.ALTERNATE)
+    measurer = FakeMeasurer()
+    service = LiveService(frames, lambda _: measurer, every_frame=True, supervision=Supervision(SupervisionSettings()))
+    with service:
+        service.start()
+        assert frames.reached.wait(PATIENCE_S)
+    fields = [(field, time_ns) for _, time_ns, field in measurer.calls]
+    assert [field for field, _ in fields[:4]] == ["top", "bottom", "top", "bottom"]
+    assert {b - a for (_, a), (_, b) in itertools.pairwise(fields[:20])} == {20_000_000}
