@@ -25,8 +25,8 @@ __all__ = ["MESSAGES_HZ", "SocketPage"]
 MESSAGES_HZ: Final = 60.0
 """What a page may send: a receipt for each of thirty frames a second, and asking the time."""
 MESSAGES_BURST: Final = 120.0
-UNSEEN: Final = 2
-"""Frames on their way to a page: a page that is slower than the source gets fewer, and never old ones."""
+UNSEEN: Final = 1
+"""Frames on their way to a page: while it draws one, another would only wait for it and grow old."""
 RECEIPT_TIMEOUT_S: Final = 5.0
 LONGEST_MESSAGE: Final = 200
 TOO_BUSY, BAD_MESSAGE, RESTARTING = 1008, 1007, 1012
