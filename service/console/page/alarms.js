@@ -16,7 +16,7 @@ export class Alarms {
   }
 
   told(state, epochMs, mayControl) {
-    const fresh = state.alarms.filter((a) => !a.acknowledged);
+    const fresh = state.alarms.filter((a) => !a.acknowledged).sort((a, b) => Number(b.active) - Number(a.active));
     $("alarmcount").textContent = state.alarms.length
       ? `${state.alarms.length} alarm${state.alarms.length > 1 ? "s" : ""}, ${fresh.length} not acknowledged`
       : "no alarms";
@@ -38,9 +38,10 @@ export class Alarms {
   }
 
   #rows(state, epochMs, mayControl) {
+    const listed = [...state.alarms].sort((a, b) => Number(b.active) - Number(a.active)); // what is gone can wait
     const first = state.first_out, kept = first && !state.alarms.some((a) => a.key === first.key);
-    const rows = state.alarms.map((a) => this.#row(a, a.key === first?.key, epochMs, mayControl));
-    if (kept) rows.unshift(this.#row({ ...first, active: false, acknowledged: true }, true, epochMs, false));
+    const rows = listed.map((a) => this.#row(a, a.key === first?.key, epochMs, mayControl));
+    if (kept) rows.push(this.#row({ ...first, active: false, acknowledged: true }, true, epochMs, false));
     return rows;
   }
 

@@ -58,7 +58,7 @@ export class Dial {
       return;
     }
     const far = Math.hypot(...value), range = rangeFor(far, limits[1]), scale = most / range;
-    this.#face(pen, c, most, scale, limits, unit);
+    this.#face(pen, c, most, scale, limits, unit, value[1] < 0 ? 1 : -1);
     const [x, y] = [c + value[0] * scale, c + value[1] * scale];
     this.#trail.push([value[0], value[1]]);
     if (this.#trail.length > 90) this.#trail.shift();
@@ -73,7 +73,7 @@ export class Dial {
     (text ?? "").split("\n").forEach((line, i, all) => pen.fillText(line, c, c + 4 + 16 * (i - (all.length - 1) / 2)));
   }
 
-  #face(pen, c, most, scale, limits, unit) {
+  #face(pen, c, most, scale, limits, unit, free) {
     pen.beginPath();
     pen.moveTo(c - most, c);
     pen.lineTo(c + most, c);
@@ -86,7 +86,7 @@ export class Dial {
     ring(pen, c, limits[1] * scale, INK, 1.6, [5, 4]);
     pen.fillStyle = INK;
     pen.textAlign = "center";
-    if (limits[1] * scale < 0.3 * most) pen.fillText(`to ${+(most / scale).toPrecision(2)} ${unit === "deg" ? "°" : unit}`, c, c - most * 0.72);
+    if (limits[1] * scale < 0.3 * most) pen.fillText(`to ${+(most / scale).toPrecision(2)} ${unit === "deg" ? "°" : unit}`, c, c + 4 + free * most * 0.72);
     pen.textAlign = "left";
     limits.forEach((limit) => {
       const at = limit * scale * Math.SQRT1_2;
@@ -109,8 +109,11 @@ export class Dial {
       pen.beginPath();
       pen.ellipse(x, y, Math.max(1, 2 * Math.sqrt(Math.max(0, mean + half)) * scale),
         Math.max(1, 2 * Math.sqrt(Math.max(0, mean - half)) * scale), Math.atan2(2 * b, a - d) / 2, 0, 2 * Math.PI);
+      pen.save();
+      pen.clip(this.#circle(c, most));
       pen.fillStyle = "#0f5fae55";
       pen.fill();
+      pen.restore();
     }
     const s = most * 0.13;
     pen.beginPath();
@@ -125,6 +128,12 @@ export class Dial {
     pen.arc(x, y, s * 0.55, 0, 2 * Math.PI);
     pen.stroke();
     this.#beyond(pen, x, y, s, far, limits);
+  }
+
+  #circle(c, r) {
+    const path = new Path2D();
+    path.arc(c, c, r, 0, 2 * Math.PI);
+    return path;
   }
 
   #bubble(pen, x, y, most, far, limits) {

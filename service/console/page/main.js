@@ -89,7 +89,7 @@ function told(state) {
   alarms.told(state, readouts.said.epoch_ms, mayControl);
   $("inputs").hidden = state.inputs.length < 2;
   const select = $("input");
-  if (select.options.length !== state.inputs.length) {
+  if ([...select.options].map((o) => o.value).join("\n") !== state.inputs.join("\n")) {
     select.replaceChildren(...state.inputs.map((name) => new Option(name, name)));
   }
   select.disabled = !mayControl;
