@@ -148,7 +148,6 @@ class FrameAssembler:
         self._append(picture)
         self._within_payload = not ends
         if ends and self._eof:
-            self._eof = False
             yield from self._finish()
 
     def _turn_to(self, header: PayloadHeader, arrived_ns: int, *, carries: bool) -> Iterator[AssembledFrame]:

@@ -95,6 +95,11 @@ def test_a_stream_joined_midway_begins_with_the_next_whole_frame():
     assert (bytes(found.data), found.number) == (frame(1), 0)
 
 
+def test_only_the_first_frame_may_be_passed_over():
+    transfers = [(payload(frame(n)[:70], n % 2, eof=True), True) for n in range(3)]
+    assert [(len(f.data), f.number) for f in assemble(transfers)] == [(70, 0), (70, 1)]
+
+
 def test_a_compressed_stream_is_joined_where_a_picture_begins():
     assembler = FrameAssembler(0, 1000, b"\xff\xd8")
     found = assemble(
@@ -128,6 +133,14 @@ def test_what_has_begun_can_be_skipped():
     assert [bytes(f.data) for f in found] == [frame(2)]
 
 
+def test_so_can_the_rest_of_a_payload():
+    assembler = FrameAssembler(FRAME_BYTES, FRAME_BYTES)
+    assemble([(payload(frame(0), 0, eof=True), True), (payload(frame(1)[:50], 1), False)], assembler)
+    assembler.skip()
+    found = assemble([(frame(1)[50:], True), (payload(frame(2), 0, eof=True), True)], assembler)
+    assert [(bytes(f.data), f.flaw) for f in found] == [(frame(2), None)]
+
+
 def test_the_times_of_a_frame_are_those_of_its_first_payload():
     times = (77).to_bytes(4, "little") + (99).to_bytes(4, "little") + b"\0\0"
     first = bytes([12, 0x8C]) + times + frame(0)[:50]
@@ -141,8 +154,9 @@ def test_what_is_no_header_is_none(header):
     assert payload_header(header) is None
 
 
-@given(st.binary(min_size=2, max_size=16))
-def test_a_header_is_never_longer_than_the_payload_and_has_the_times_that_fit_into_it(data):
+@given(st.integers(0, 18), st.integers(0, 255), st.binary(min_size=14, max_size=14))
+def test_a_header_is_never_longer_than_the_payload_and_has_the_times_that_fit_into_it(size, bits, rest):
+    data = bytes([size, bits]) + rest
     header = payload_header(data)
     if header is None:
         assert not 2 <= data[0] <= len(data)
