@@ -12,11 +12,11 @@ from tests.bench.soak import slope_mb_per_h, told
 TIMES_S = np.arange(180.0)
 
 
-def samples(mb_per_h=0.0, waver_mb=0.0, fds=20, fds_at_end=20):
-    rng = np.random.default_rng(0)
-    rss = 250e6 + mb_per_h * 1e6 * TIMES_S / 3600 + 1e6 * waver_mb * rng.normal(size=len(TIMES_S))
-    fds = np.where(TIMES_S < 170, fds, fds_at_end)
-    return [(t, Resources(int(r), int(f), 12)) for t, r, f in zip(TIMES_S, rss, fds, strict=True)]
+def samples(mb_per_h=0.0, waver_mb=0.0, fds=20, fds_at_end=20, seconds=180):
+    rng, times_s = np.random.default_rng(0), np.arange(float(seconds))
+    rss = 250e6 + mb_per_h * 1e6 * times_s / 3600 + 1e6 * waver_mb * rng.normal(size=seconds)
+    fds = np.where(times_s < seconds - 10, fds, fds_at_end)
+    return [(t, Resources(int(r), int(f), 12)) for t, r, f in zip(times_s, rss, fds, strict=True)]
 
 
 HEALTH = SimpleNamespace(account=Account(), recoveries=0)
@@ -34,7 +34,9 @@ def test_a_slope_is_found_with_its_sigma():
         ({}, 0),
         ({"waver_mb": 0.5}, 0),
         ({"mb_per_h": 0.8}, 0),
-        ({"mb_per_h": 5.0}, 1),
+        ({"mb_per_h": 5.0}, 0),
+        ({"mb_per_h": 9.0}, 1),
+        ({"mb_per_h": 1.2, "seconds": 3600}, 1),
         ({"mb_per_h": 60.0, "waver_mb": 0.1}, 1),
         ({"fds_at_end": 21}, 1),
         ({"fds_at_end": 19}, 0),
