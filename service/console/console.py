@@ -9,7 +9,7 @@ from service.console.app import WebApp
 from service.console.board import Board
 from service.console.desk import AlarmDesk
 from service.console.operations import Operations
-from service.console.server import WebServer, bind
+from service.console.server import WebServer, bind, reachable
 from service.console.sink import ConsoleSink
 from service.console.state import StateTeller
 from service.console.trend import Trend
@@ -96,7 +96,7 @@ class Console:
         print("\n".join(self._addresses()), flush=True)
 
     def _addresses(self) -> list[str]:
-        host = self._settings.address
+        host = reachable(self._settings.address)
         where = f"http://{f'[{host}]' if ':' in host else host}:{self.port}/"
         if self.tokens is None:
             return [f"operator's page: {where}"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import logging
 import socket
 import threading
@@ -15,7 +16,7 @@ from service.sinks.ports import free_port
 if TYPE_CHECKING:
     from starlette.types import ASGIApp
 
-__all__ = ["PORT", "WebServer", "bind"]
+__all__ = ["PORT", "WebServer", "bind", "reachable"]
 
 log = logging.getLogger(__name__)
 
@@ -39,11 +40,40 @@ def bind(address: str, port: int | None) -> socket.socket:
     return taken
 
 
+def reachable(address: str) -> str:
+    """An address that browsers can be given: for all networks of this machine, that on the one it mostly uses."""
+    if not ipaddress.ip_address(address).is_unspecified:
+        return address
+    family, elsewhere = (socket.AF_INET6, "2001:db8::1") if ":" in address else (socket.AF_INET, "192.0.2.1")
+    with socket.socket(family, socket.SOCK_DGRAM) as asking:
+        try:
+            asking.connect((elsewhere, 9))  # sends nothing: the kernel only looks where that would leave
+        except OSError:
+            return address
+        return str(asking.getsockname()[0])
+
+
+class _Told(logging.Handler):
+    """Passes on what uvicorn finds wrong with itself; what clients do wrong is theirs."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        log.error("the operator's page: %s", " ".join(record.getMessage().split()), exc_info=record.exc_info)
+
+
+def _quiet() -> None:
+    """Keep uvicorn off the terminal, but for its errors, in our own words."""
+    theirs = logging.getLogger("uvicorn")
+    if not any(isinstance(handler, _Told) for handler in theirs.handlers):
+        theirs.addHandler(_Told(logging.ERROR))
+        theirs.propagate = False
+
+
 class WebServer:
     """A server on a bound socket, from `start` to `close`."""
 
     def __init__(self, app: ASGIApp, listening: socket.socket) -> None:
         self._listening = listening
+        _quiet()
         config = uvicorn.Config(
             app,
             ws="websockets-sansio",
