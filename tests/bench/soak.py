@@ -17,7 +17,6 @@ import logging
 import sys
 import time
 import urllib.request
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +29,7 @@ from service.acquisition.live import LiveService
 from service.acquisition.liveness import Liveness
 from service.acquisition.metrics import HealthCollector, MetricsServer
 from service.acquisition.recovery import Supervision
-from service.acquisition.resources import Resources, resources
+from service.acquisition.resources import resources
 from service.cli.simulate import camera_of
 from service.config.generators import load_generator
 from service.config.supervision import SupervisionSettings
@@ -87,9 +86,12 @@ def own_bytes() -> int:
     return next(1024 * int(line.split()[1]) for line in lines if line.startswith("RssAnon:"))
 
 
-def sampled(service: LiveService, sinks: list[QueuedSink], url: str, seconds: float) -> list[tuple[float, Resources]]:
-    """What the process holds, every second."""
-    samples, began_s = [], time.monotonic()
+def sampled(service: LiveService, sinks: list[QueuedSink], url: str, seconds: float) -> np.ndarray:
+    """What the process holds, every second: rows of seconds, bytes, files, threads.
+
+    Room for all rows is there from the start: it would be what grows.
+    """
+    samples, count, began_s = np.ones((int(seconds) + 1, 4)), 0, time.monotonic()
     while (now_s := time.monotonic() - began_s) < seconds:
         assert not service.wait(1.0), service.failure
         shown = service.health().shown
@@ -97,10 +99,12 @@ def sampled(service: LiveService, sinks: list[QueuedSink], url: str, seconds: fl
             sink.state(SourceState(str(shown.liveness), shown.reason, shown.good, f"{now_s:.0f} s"))
         with urllib.request.urlopen(url, timeout=10) as answer:
             answer.read()
-        if len(samples) % 10 == 0:
+        if count % 10 == 0:
             gc.collect()
-        samples.append((now_s, replace(resources(), rss_bytes=own_bytes())))
-    return samples
+        held = resources()
+        samples[count] = now_s, own_bytes(), held.fds, held.threads
+        count += 1
+    return samples[:count]
 
 
 def main(minutes: float, *, shown: bool) -> int:
@@ -131,20 +135,18 @@ def main(minutes: float, *, shown: bool) -> int:
 
 def told(samples, warm_s, health) -> int:
     """Print what came of it; 1 where it is not as it must be."""
-    kept = [(t, r) for t, r in samples if t >= warm_s]
-    slope, sigma = slope_mb_per_h(np.array([t for t, _ in kept]), np.array([float(r.rss_bytes) for _, r in kept]))
-    ends = [
-        np.max([(r.fds, r.threads) for _, r in part], axis=0)
-        for part in (kept[: len(kept) // 3], kept[-len(kept) // 3 :])
-    ]
+    kept = samples[samples[:, 0] >= warm_s]
+    slope, sigma = slope_mb_per_h(kept[:, 0], kept[:, 1])
+    third = len(kept) // 3
+    ends = [part[:, 2:].max(axis=0).astype(int) for part in (kept[:third], kept[-third:])]
     account = health.account
-    print(f"{samples[-1][0] / 60:.1f} minutes, the first {warm_s / 60:.1f} of them to warm up")
-    first_mb, last_mb = (r.rss_bytes / 1e6 for r in (kept[0][1], kept[-1][1]))
+    print(f"{samples[-1, 0] / 60:.1f} minutes, the first {warm_s / 60:.1f} of them to warm up")
+    first_mb, last_mb = kept[[0, -1], 1] / 1e6
     print(f"  memory {first_mb:.1f} MB, then {last_mb:.1f} MB: {slope:+.2f} ± {sigma:.2f} MB/h")
     print(f"  files and threads, at most: {ends[0].tolist()} in the first third after, {ends[1].tolist()} in the last")
     print(f"  {health.recoveries} recoveries; {account.lines()[1]}")
     least_mb_per_h = slope - 2 * sigma
-    grown = least_mb_per_h > LIMIT_MB_PER_H and least_mb_per_h * (kept[-1][0] - kept[0][0]) / 3600 > SETTLING_MB
+    grown = least_mb_per_h > LIMIT_MB_PER_H and least_mb_per_h * (kept[-1, 0] - kept[0, 0]) / 3600 > SETTLING_MB
     return int(grown or bool(np.any(ends[1] > ends[0])) or not account.balanced())
 
 

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from service.acquisition.ledger import Account
-from service.acquisition.resources import Resources
 from tests.bench.soak import slope_mb_per_h, told
 
 TIMES_S = np.arange(180.0)
@@ -16,7 +15,7 @@ def samples(mb_per_h=0.0, waver_mb=0.0, fds=20, fds_at_end=20, seconds=180):
     rng, times_s = np.random.default_rng(0), np.arange(float(seconds))
     rss = 250e6 + mb_per_h * 1e6 * times_s / 3600 + 1e6 * waver_mb * rng.normal(size=seconds)
     fds = np.where(times_s < seconds - 10, fds, fds_at_end)
-    return [(t, Resources(int(r), int(f), 12)) for t, r, f in zip(times_s, rss, fds, strict=True)]
+    return np.column_stack([times_s, rss, fds, np.full(seconds, 12)])
 
 
 HEALTH = SimpleNamespace(account=Account(), recoveries=0)
