@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["PlaceMap", "Verdict"]
+__all__ = ["CONTRADICTION", "SUSPICIOUS", "PlaceMap", "Verdict"]
 
 REACH = 160
 """Rows and columns either way of the origin that the map holds: more than any tubesheet has."""
@@ -32,9 +32,11 @@ WINDOW = 8
 """Largest shift, in rows and columns, that is compared."""
 DECISIVE = 20.0
 """By how much, in natural logarithms, the best shift must beat the second: one in 5e8, with room for what is shared."""
-CONTRADICTION = -0.2
-"""A picture that fits the map so much worse than no map at all, in natural logarithms a tube, speaks against its index:
-the right one gives 0 to 1, a wrong one about -0.5."""
+SUSPICIOUS, CONTRADICTION = -0.05, -0.2
+"""A picture that fits the map so much worse than no map at all, in natural logarithms a tube, is compared with all
+other places; and speaks against its index whatever they say. The right one gives 0 to 1, a wrong one -0.15 to -0.7."""
+FEW = 100
+"""Fewer tubes count as so many: chance does more among few."""
 STATE_LOG_ODDS = 3.0
 """What one place of a known state that agrees, or disagrees, counts for."""
 LEAST_COMMON = 12
@@ -91,10 +93,10 @@ class PlaceMap:
             self._weight, self._state,
         )  # fmt: skip
 
-    def contradicts(self, refined: Refined) -> bool:
-        """Whether what a picture shows is not what its index says should be there."""
+    def fit(self, refined: Refined) -> float:
+        """How much better the map explains a picture than no map does, natural logarithm a tube."""
         score, common = self._scores(refined, 0)
-        return bool(common[0, 0] >= LEAST_COMMON and score[0, 0] < CONTRADICTION * common[0, 0])
+        return float(score[0, 0] / max(common[0, 0], FEW))
 
     def compare(self, refined: Refined) -> Verdict | None:
         """Find the shift, up to `WINDOW`, that fits best; None where picture and map share too little."""

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.acquire import candidates
-from service.vision.evidence import PlaceMap
+from service.vision.evidence import CONTRADICTION, SUSPICIOUS, PlaceMap
 from service.vision.lock import LEAST_TUBES, MOST_STRAY, Proof, prove
 from service.vision.motion import Motion, aligned, centred, looked_at
 from service.vision.pose import prior_of
@@ -141,8 +141,9 @@ class Tracker:
     def _settled(self, refined: Refined) -> Refined:
         """Hold a picture against the map of what it should show: a slip is mended where that is beyond doubt."""
         self._pictures += 1
-        self._doubt = self._doubt or self._map.contradicts(refined)
-        verdict = self._map.compare(refined) if self._doubt else None
+        fit = self._map.fit(refined)
+        verdict = self._map.compare(refined) if self._doubt or fit < SUSPICIOUS else None
+        self._doubt = self._doubt or fit < CONTRADICTION
         if verdict is not None and verdict.decisive:
             self._doubt = False
             if verdict.slipped:

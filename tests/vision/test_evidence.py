@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from drivers.scene import CLEAN, HARD, NOMINAL
-from service.vision.evidence import WINDOW, PlaceMap
+from service.vision.evidence import CONTRADICTION, SUSPICIOUS, WINDOW, PlaceMap
 from service.vision.stopwatch import Stopwatch
 from service.vision.tracking import Tracker
 from tests.scenes.rendered import film, looking
@@ -44,7 +44,7 @@ def test_every_slip_within_reach_is_found_and_the_right_index_confirmed(look, tu
         assert (verdict.row, verdict.column) == (-row, -column)
         assert verdict.decisive
         assert verdict.slipped is bool(row or column)
-        assert places.contradicts(slipped) is bool(row or column)
+        assert (places.fit(slipped) < SUSPICIOUS) is bool(row or column)
 
 
 def test_one_picture_is_enough_to_know_the_next_by():
@@ -59,7 +59,7 @@ def test_where_all_places_look_alike_nothing_is_decided_and_nothing_contradicted
     for row, column in [(0, 0), (1, 0), (-2, 1)]:
         slipped = refined[-1].shifted(row, column, lattice)
         assert not places.compare(slipped).decisive
-        assert not places.contradicts(slipped)
+        assert places.fit(slipped) > CONTRADICTION
 
 
 def test_an_empty_map_and_one_of_other_places_say_nothing():
@@ -67,7 +67,7 @@ def test_an_empty_map_and_one_of_other_places_say_nothing():
     empty, elsewhere = PlaceMap(lattice), learned(lattice, [refined[0].shifted(60, 0, lattice)])
     for places in (empty, elsewhere):
         assert places.compare(refined[1]) is None
-        assert not places.contradicts(refined[1])
+        assert places.fit(refined[1]) == 0.0
 
 
 def test_places_beyond_the_map_are_left_out():
@@ -75,12 +75,12 @@ def test_places_beyond_the_map_are_left_out():
     beyond = refined[0].shifted(10**6, -(10**6), lattice)
     places = learned(lattice, [beyond])
     assert places.compare(beyond) is None
-    assert not places.contradicts(refined[1])
+    assert places.fit(refined[1]) == 0.0
 
 
 def test_a_slip_out_of_reach_is_contradicted_but_not_mended():
     lattice, refined = pictures(STANDING_OFF, size_px=(640, 320), pitch_px=22.0)
     slipped = refined[-1].shifted(0, WINDOW + 3, lattice)
     places = learned(lattice, refined[:-1])
-    assert places.contradicts(slipped)
+    assert places.fit(slipped) < SUSPICIOUS
     assert not places.compare(slipped).decisive

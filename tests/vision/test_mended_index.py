@@ -26,7 +26,7 @@ def test_after_the_map_has_mended_an_index_it_stays_mended(monkeypatch):
     tracker = Tracker(first.camera, first.lattice)
     sheet = sheet_of(first.sheet.lattice, CLEAN)
     verdicts = iter([None, Verdict(1, -1, 50.0, 50.0)])
-    monkeypatch.setattr(tracker._map, "contradicts", lambda _: True)
+    monkeypatch.setattr(tracker._map, "fit", lambda _: -1.0)
     monkeypatch.setattr(tracker._map, "compare", lambda *_: next(verdicts, None))
     places = []
     for i in range(6):
