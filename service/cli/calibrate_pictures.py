@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import time
@@ -28,13 +29,15 @@ from service.vision.calibration_report import calibration_dict, calibration_line
 from service.vision.collecting import Collector
 from service.vision.errors import DegenerateError
 from service.vision.process import Measurer
+from service.vision.selfcalibration import LEAST_TUBES
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Sequence
 
-    from drivers.grabber import Grabber
     from service.vision.camera import Camera
+    from service.vision.lattice import Lattice
+    from service.vision.selfcalibration import Calibration
 
 __all__ = ["run_pictures"]
 
@@ -49,18 +52,12 @@ def run_pictures(args: argparse.Namespace) -> int:
     lattice = load_generator(args.generator).lattice
     grabbers = [_grabber(path) for path in args.paths]
     camera, total = _camera(args, grabbers)
-    collector = Collector(camera, lattice)
     prepare_kernels()
-    _collect(grabbers, collector, args.field_order, total)
+    collector, calibration = _calibrated(args, grabbers, camera, lattice, total)
     for reason, count in collector.left_out.items():
         say(f"{count} picture{'s' * (count != 1)} left out: {reason}")
-    known_range = None
-    if args.range_mm is not None:
-        known_range = Range(args.range_mm[0], args.range_mm[1] or RANGE_SIGMA_MM)
-    try:
-        calibration = collector.solve(known_range)
-    except DegenerateError as error:
-        raise CalibrationError(f"{args.paths[0]}: {error}; nothing is written") from error
+    if calibration is None:
+        raise CalibrationError(f"{args.paths[0]}: no picture shows {LEAST_TUBES} tubes; nothing is written")
     utc = datetime.now(UTC).isoformat(timespec="seconds")
     write_calibration(args.out, calibration, utc)
     if args.json is not None:
@@ -70,6 +67,30 @@ def run_pictures(args: argparse.Namespace) -> int:
         print(f"{len(collector.kept)} of {collector.seen} pictures kept")
         print(*calibration_lines(calibration, lattice), f"{args.out}: written", sep="\n")
     return 0
+
+
+def _calibrated(
+    args: argparse.Namespace, grabbers: Sequence[ReplayGrabber], camera: Camera, lattice: Lattice, total: int | None
+) -> tuple[Collector, Calibration | None]:
+    """Measure and solve; and once more with the camera that was found, where it was not known before.
+
+    Rims are measured along their projection: one from a camera that is far off shifts them a little, and f by 0.07 %.
+    """
+    known_range = None
+    if args.range_mm is not None:
+        known_range = Range(args.range_mm[0], args.range_mm[1] or RANGE_SIGMA_MM)
+    measured_with, passes = camera, 1 if camera.complete else 2
+    tqdm.monitor_interval = 0  # no thread of its own
+    with tqdm(total=total and passes * total, unit="frame", disable=None, leave=False) as bar:
+        for _ in range(passes):
+            collector, calibration = Collector(camera, lattice), None
+            _collect(grabbers, collector, measured_with, args.field_order, bar)
+            with contextlib.suppress(DegenerateError):
+                calibration = collector.solve(known_range)
+            if calibration is None:
+                break
+            measured_with = calibration.camera
+    return collector, calibration
 
 
 def _check(args: argparse.Namespace) -> None:
@@ -123,21 +144,18 @@ def _with_focal_length(camera: Camera, focal_mm: float, sigma_mm: float) -> Came
     return replace(camera, focal_length_mm=focal_mm, parameters=names, covariance=covariance)
 
 
-def _collect(grabbers: Sequence[ReplayGrabber], collector: Collector, order: str | None, total: int | None) -> None:
-    tqdm.monitor_interval = 0  # no thread of its own
-    with tqdm(total=total, unit="frame", disable=None, leave=False) as bar:
-        for grabber in grabbers:
-            collector.begin()
-            with grabber:
-                _measure(grabber, collector, order, bar)
-
-
-def _measure(grabber: Grabber, collector: Collector, order: str | None, bar: tqdm[Never]) -> None:
-    vision = Measurer(collector.camera, collector.lattice, time.perf_counter_ns)
-    measurer = FrameMeasurer(vision, field_order(order).field, grabber.clock)
-    grabber.start()
-    for frame in grabber:
-        for result in measurer.answer(frame)[0]:
-            collector.take(result.measurement)
-        bar.update()
-        bar.set_postfix_str(f"{len(collector.kept)} kept", refresh=False)
+def _collect(
+    grabbers: Sequence[ReplayGrabber], collector: Collector, camera: Camera, order: str | None, bar: tqdm[Never]
+) -> None:
+    """Measure all sources with a camera, and have the collector look at the results."""
+    for grabber in grabbers:
+        collector.begin()
+        with grabber:
+            vision = Measurer(camera, collector.lattice, time.perf_counter_ns)
+            measurer = FrameMeasurer(vision, field_order(order).field, grabber.clock)
+            grabber.start()
+            for frame in grabber:
+                for result in measurer.answer(frame)[0]:
+                    collector.take(result.measurement)
+                bar.update()
+                bar.set_postfix_str(f"{len(collector.kept)} kept", refresh=False)

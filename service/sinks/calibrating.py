@@ -119,7 +119,7 @@ class CalibrationSink(QueuedSink):
         began_s = self._now_s()
         self._solved_with = len(collector.kept)
         try:
-            calibration = collector.solve()
+            calibration = collector.solve().first_answer()
         except DegenerateError:
             return
         self._solved_s = self._now_s()

@@ -8,7 +8,7 @@ import pytest
 from service.vision.bundle import SMOOTH_PX, Range
 from service.vision.camera import OpenCVLens, TsaiLens
 from service.vision.errors import DegenerateError
-from service.vision.selfcalibration import calibrate
+from service.vision.selfcalibration import BLIND, calibrate
 from tests.vision.installation import LATTICE, TRUE, UNKNOWN, Sheet, installation, seen_from, tilted
 
 NAMES = ("focal_length_mm", "sx", "cx_px", "cy_px", "kappa1_per_mm2")
@@ -174,3 +174,12 @@ def test_without_a_picture_that_shows_enough_there_is_no_answer():
     for pictures in ([], [few]):
         with pytest.raises(DegenerateError, match="12 tubes"):
             calibrate(pictures, UNKNOWN, LATTICE)
+
+
+def test_a_first_answer_knows_the_focal_length_less_well_and_all_else_alike():
+    calibration = calibrate(installation(1, 24), UNKNOWN, LATTICE)
+    first = calibration.first_answer().camera
+    f = first.focal_length_mm
+    assert sigma(first) == pytest.approx(np.hypot(sigma(calibration.camera), BLIND * f))
+    assert sigma(first, "cx_px") == sigma(calibration.camera, "cx_px")
+    assert calibrate(installation(1), TRUE, LATTICE).first_answer().camera.parameters == ()
