@@ -40,7 +40,8 @@ def run(args: argparse.Namespace) -> int:
     if len(findings) > MOST_SHOWN:
         print(f"... and {len(findings) - MOST_SHOWN} more")
     grave = sum(finding.grave for finding in findings)
-    print(f"{args.session.name}: {f'{grave} problems' if grave else _sound(args.session)}")
+    problems = f"{grave} problem{'s' * (grave != 1)}"
+    print(f"{args.session.name}: {problems if grave else _sound(args.session)}")
     return int(grave > 0)
 
 

@@ -89,6 +89,11 @@ class QueuedSink(ABC):
         """None, or in words why nothing is delivered any more."""
         return self._failure
 
+    @property
+    def running(self) -> bool:
+        """Whether its thread may still deliver something: after `close`, where it was left behind."""
+        return self._thread.is_alive()
+
     def start(self) -> None:
         """Take what is needed and start the thread; raises what `_do_start` raises."""
         self._do_start()

@@ -201,7 +201,7 @@ def test_verify_says_that_a_session_is_sound_and_what_is_not(recorded, bowlsight
     status, out, _ = bowlsight("verify", folder)
     assert status == 1
     assert out.startswith("results.jsonl: the lines of frame 0, from byte 0 on, were changed\n")
-    assert out.endswith(f"{folder.name}: 1 problems\n")
+    assert out.endswith(f"{folder.name}: 1 problem\n")
 
 
 def test_verify_measures_again_where_asked(recorded, bowlsight, vision, monkeypatch):

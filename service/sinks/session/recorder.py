@@ -40,6 +40,7 @@ FRAMES_CAPACITY: Final = 90
 ANSWERS_CAPACITY, EVENTS_CAPACITY = 2000, 1000
 WAIT_S = 0.05
 FOLLOW_EVERY_S = 1.0
+VIEWER_CLOSE_S = 1.0
 DRAIN_SHARE = 0.7
 """Of the time to close: for writing what waits. The rest is for the files' own ends."""
 T = TypeVar("T")
@@ -330,9 +331,11 @@ class SessionRecorder:
 
     def _finish(self, reason: str) -> Path | None:
         running, self._running = self._running, None
-        self._close_viewer(1.0)
+        ended = self._close_viewer(VIEWER_CLOSE_S)
         if running is None:
             return None
+        if not ended:
+            running.writer.forget_viewer()
         try:
             running.writer.close(reason)
         finally:
@@ -349,10 +352,13 @@ class SessionRecorder:
         self._close_viewer(0.2)
         self._tell_state(running)
 
-    def _close_viewer(self, timeout_s: float) -> None:
+    def _close_viewer(self, timeout_s: float) -> bool:
+        """Close the viewer's file; False where its thread did not end in time."""
         viewer, self._viewer = self._viewer, None
-        if viewer is not None:
-            viewer.close(timeout_s)
+        if viewer is None:
+            return True
+        viewer.close(timeout_s)
+        return not viewer.running
 
 
 def _reason(error: Exception) -> str:

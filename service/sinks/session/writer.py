@@ -227,6 +227,10 @@ class SessionWriter:
             self._viewer = FollowedFile(self.folder / VIEWER)
         self._viewer.follow()
 
+    def forget_viewer(self) -> None:
+        """Leave the viewer's file out of what is vouched for: somebody may still write to it."""
+        self._viewer = None
+
     def overflow(self, frames: int) -> None:
         """Note frames that were not recorded for want of room in the queue."""
         self.overflowed += frames

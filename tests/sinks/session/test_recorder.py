@@ -14,6 +14,7 @@ from drivers.session_replay import SessionGrabber
 from service.sinks.session.control import RecordingError
 from service.sinks.session.places import CSV, EVENTS, RESULTS
 from service.sinks.session.reader import SessionEnd, open_session
+from service.sinks.session.verification import verify_session
 from service.sinks.session.video import HashedFile
 from tests.sinks.session.recorded import Recording, frame, record, results
 
@@ -203,3 +204,38 @@ def test_an_index_has_each_frame_once_and_in_order(tmp_path):
     rows = [i for i in read_index(folder / INDEX) if isinstance(i, Row)]
     assert [r.number for r in rows] == list(range(30))
     assert [r.received_ns for r in rows] == [10**10 + k * 40_000_000 for k in range(30)]
+
+
+class Viewer:
+    """Appends to a file as the viewer's does; its thread is left behind where told."""
+
+    def __init__(self, path, running=False):
+        self.path, self.running, self.events = path, running, []
+
+    def start(self):
+        self.path.write_bytes(b"head")
+
+    def accept(self, frame, results):
+        with self.path.open("ab") as file:
+            file.write(bytes(1000))
+
+    def event(self, text, level):
+        self.events.append(text)
+
+    def close(self, timeout_s):
+        with self.path.open("ab") as file:
+            file.write(b"tail")
+
+
+@pytest.mark.parametrize("left_behind", [False, True])
+def test_the_viewers_file_is_vouched_for_once_nobody_writes_to_it_any_more(tmp_path, left_behind):
+    with Recording(tmp_path, viewer_for=lambda path: Viewer(path, left_behind)) as recording:
+        recording.feed(*(frame(k) for k in range(5)))
+        until(lambda: recording.recorder.state.measured == 5)
+    (folder,) = tmp_path.iterdir()
+    (closed,) = [i for i in read_index(folder / INDEX) if isinstance(i, Closed)]
+    assert ("viewer.rrd" in closed.sha256) is not left_behind
+    assert [f for f in verify_session(folder) if f.grave] == []
+    with (folder / "viewer.rrd").open("ab") as file:
+        file.write(b"more")
+    assert bool([f for f in verify_session(folder) if f.grave]) is not left_behind
