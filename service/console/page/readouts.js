@@ -89,7 +89,7 @@ export class Readouts {
     this.#quality($("tiltquality"), b ? (a?.quality ?? "bad") : { full: "good", partial: "uncertain", none: "bad" }[head.lock]);
     $("parallelism").textContent = withSigma(a?.parallelism_deg, a?.parallelism_sigma_deg, "°");
     const off = b && a?.parallelism_deg > b.parallelism_normal_deg + 2 * a.parallelism_sigma_deg;
-    $("parallelism").classList.toggle("warn", Boolean(off));
+    $("parallelism").classList.toggle("alarm", Boolean(off));
     $("margin").textContent = a?.margin_mm === undefined || a?.margin_mm === null ? "–" : `${signed(a.margin_mm)} ± ${a.margin_sigma_mm.toFixed(2)} mm`;
     $("margin").classList.toggle("alarm", a?.margin_mm < 0);
     $("distance").textContent = withSigma(p?.distance_mm, p?.distance_sigma_mm, "mm");
