@@ -82,7 +82,7 @@ def test_sixteen_bits_say_what_eight_do():
     assert sixteen.lock is Lock.FULL
 
 
-@pytest.mark.parametrize("size_px", [(120, 90), (96, 72), (64, 48)])
+@pytest.mark.parametrize("size_px", [(120, 90), (96, 72), (80, 60)])
 def test_small_pictures_with_a_dozen_tubes_do(size_px):
     m, e = found_rightly(view(look=REAL, size_px=size_px, pitch_px=20.0))
     assert len(e.measured_px) >= 8
