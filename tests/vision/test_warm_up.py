@@ -31,7 +31,8 @@ warm_up(lambda: 0)
 before = signatures()
 look = replace(NOMINAL, scatter_mm=0.1, specks=50.0)
 for bits, tubes, opencv in ((8, "system80", False), (16, "model-f", True)):
-    there, aside = film([looking(6.0), looking(6.0, at_mm=(11.0, 4.0))], tubes, look, opencv=opencv, bend=0.02, bits=bits)
+    poses = [looking(6.0), looking(6.0, at_mm=(11.0, 4.0))]
+    there, aside = film(poses, tubes, look, opencv=opencv, bend=0.02, bits=bits)
     black = np.zeros_like(there.image)
     some = camera_of(there.optics, lens=None, sx=None, principal_point_px=None)
     loose = camera_of(there.optics, parameters=("focal_length_mm",), covariance=np.array([[1e-4]]))
