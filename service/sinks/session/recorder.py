@@ -116,7 +116,7 @@ class SessionRecorder:
             plan.root, plan.settings, lambda t: self.event(t, kind="retention"), lambda: wall_ns() / 1e9, free
         )
         self._closing = threading.Event()
-        self._deadline_s = float("inf")
+        self._deadline_s = self._end_s = float("inf")
         self._thread = threading.Thread(target=self._run, name="bowlsight-recorder", daemon=True)
 
     # -- around it ----------------------------------------------------------------------------------------------------
@@ -166,7 +166,8 @@ class SessionRecorder:
     def close(self, timeout_s: float) -> None:
         """Write what waits, end the session, end the thread. May be repeated."""
         if not self._closing.is_set():
-            self._deadline_s = time.monotonic() + DRAIN_SHARE * timeout_s
+            now_s = time.monotonic()
+            self._deadline_s, self._end_s = now_s + DRAIN_SHARE * timeout_s, now_s + timeout_s
             self._closing.set()
         if self._thread.ident is None:
             self._finish("stopped before it began")
@@ -331,7 +332,8 @@ class SessionRecorder:
 
     def _finish(self, reason: str) -> Path | None:
         running, self._running = self._running, None
-        ended = self._close_viewer(VIEWER_CLOSE_S)
+        left_s = max(0.0, self._end_s - time.monotonic())
+        ended = self._close_viewer(min(VIEWER_CLOSE_S, left_s / 2))  # the session's own end matters more
         if running is None:
             return None
         if not ended:
