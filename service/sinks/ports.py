@@ -52,7 +52,7 @@ def free_port(address: str, wanted: int | None, default: int, key: str) -> int:
 
 
 def _try_to_bind(address: str, port: int) -> None:
-    with socket.socket() as s:
+    with socket.socket(socket.AF_INET6 if ":" in address else socket.AF_INET) as s:
         s.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # ports of connections just closed are free
         s.bind((address, port))
 

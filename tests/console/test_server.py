@@ -126,3 +126,13 @@ def test_a_port_that_is_taken_is_refused_by_its_name():
 def test_addresses_are_given_that_browsers_can_use():
     assert reachable("127.0.0.1") == "127.0.0.1"
     assert reachable("0.0.0.0").count(".") == 3
+
+
+@pytest.mark.skipif(not socket.has_ipv6, reason="no IPv6 here")
+def test_the_newer_protocol_is_served_too():
+    try:
+        listening = bind("::1", None)
+    except ConfigError as error:
+        pytest.skip(str(error))
+    with listening:
+        assert listening.family is socket.AF_INET6
