@@ -131,7 +131,7 @@ def _posterior(refined: Refined, lattice: Lattice) -> tuple[Array, Array]:
     center, variance = np.empty((n, 2)), np.empty(n)
     misfit = refined.common.misfit.variance_px2(px, refined.shape)
     _combine(
-        px, J, place, fit.covariance, refined.used, refined.center_px, refined.rims.covariance_px,
+        px, J, place, fit.covariance, refined.used, refined.rims.center_px, refined.rims.covariance_px,
         lattice.scatter_mm**2, lattice.height_scatter_mm**2, misfit, center, variance,
     )  # fmt: skip
     return center, np.sqrt(variance + refined.common.bias.variance_px2(place))

@@ -32,7 +32,7 @@ WINDOW = 8
 """Largest shift, in rows and columns, that is compared."""
 DECISIVE = 20.0
 """By how much, in natural logarithms, the best shift must beat the second: one in 5e8, with room for what is shared."""
-SUSPICIOUS, CONTRADICTION = -0.05, -0.2
+SUSPICIOUS, CONTRADICTION = -0.05, -0.1
 """A picture that fits the map so much worse than no map at all, in natural logarithms a tube, is compared with all
 other places; and speaks against its index whatever they say. The right one gives 0 to 1, a wrong one -0.15 to -0.7."""
 FEW = 100
@@ -41,6 +41,8 @@ STATE_LOG_ODDS = 3.0
 """What one place of a known state that agrees, or disagrees, counts for."""
 LEAST_COMMON = 12
 """Fewer places in common with the map do not decide."""
+CHANGING = 0.65
+"""Part of a centre's variance that differs from picture to picture; the rest is the tube's own way of looking."""
 MOST_PICTURES = 30.0
 """A place's mean settles after so many pictures: what a pose's own error puts into them is shared by all."""
 
@@ -123,8 +125,8 @@ def _offsets(refined: Refined) -> tuple[Array, Array]:
     """Each place's offset from nominal in the sheet, (n, 2) mm, and its variance, (n,) mm^2."""
     n = len(refined.sites)
     off, variance = np.empty((n, 2)), np.empty(n)
-    _to_sheet(refined.place, refined.center_px, refined.predicted_px, refined.rims.covariance_px, off, variance)
-    return off, variance
+    _to_sheet(refined.place, refined.rims.center_px, refined.predicted_px, refined.rims.covariance_px, off, variance)
+    return off, CHANGING * variance
 
 
 @compiled

@@ -128,4 +128,4 @@ def _motion(a: Refined, b: Refined, line_a: float, line_b: float) -> FieldMotion
     if len(pairs) < COMMON:
         return None
     i, j = np.array(pairs).T
-    return FieldMotion((b.center_px[j] - a.center_px[i]) * [1.0, 2.0] + [0.0, line_b - line_a])
+    return FieldMotion((b.rims.center_px[j] - a.rims.center_px[i]) * [1.0, 2.0] + [0.0, line_b - line_a])

@@ -9,14 +9,9 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.compiled import median_of
+from service.vision.edges import EdgeProfile, start_profile
 from service.vision.pose import Fit, fit_pose, linearise
-from service.vision.rims import (
-    EdgeProfile,
-    Rims,
-    measure_rims,
-    profile_of,
-    start_profile,
-)
+from service.vision.rims import Rims, measure_rims
 from service.vision.sites import Sites, sites_in_picture
 from service.vision.states import tube_states
 from service.vision.systematics import Common, edge_bias, smooth_misfit
@@ -39,9 +34,9 @@ LEAST_STRENGTH = 2.4
 LEAST_RAYS = 0.4
 LEAST_TUBES = 6
 """Fewer measured tubes do not make a pose worth telling."""
-SETTLED = 0.12
+SETTLED = 0.05
 """Edge widths that the tubes may lie off, in the middle of them all, for a pass to be the last."""
-STEADY_WIDTH = 0.85
+STEADY_WIDTH = 0.93
 """Least part of a profile's width that the next one may have, for a pass to be the last."""
 NARROWING = 0.36
 """Most that the search narrows from pass to pass."""
@@ -59,8 +54,6 @@ class Refined:
         Places whose rim was looked at, n.
     rims
         What they showed, about the pose before the last solution.
-    center_px
-        (n, 2) measured centres, corrected for the edges' bias.
     measured, used
         (n,) whether the tube was measured, and whether it also agrees with its neighbours.
     fit
@@ -79,7 +72,6 @@ class Refined:
 
     sites: Sites
     rims: Rims
-    center_px: NDArray[np.float64]
     measured: NDArray[np.bool_]
     used: NDArray[np.bool_]
     fit: Fit
@@ -140,7 +132,7 @@ def refine(
             return None
         sites, rims, used = looked
         as_before = before is not None and not afresh
-        narrow = profile if as_before else _narrowed(profile_of(rims), profile)
+        narrow = profile if as_before else _narrowed(rims.profile(), profile)
         moved = max(abs(median_of(rims.shift_px[used, 0])), abs(median_of(rims.shift_px[used, 1])))
         steady = moved < SETTLED * profile.width_px and narrow.width_px > profile.width_px * STEADY_WIDTH
         if step == passes - 1 or steady:
@@ -177,21 +169,19 @@ def _solved(
     parity: int | None,
 ) -> Refined:  # fmt: skip
     """The last solution: without what the edges have in common, and with what is not known of it in its covariance."""
-    _, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
-    known = None if before is None else before.bias
-    bias = edge_bias(rims, used, place, known) if known is None or afresh else known
-    center = rims.center_px - bias.of(place, rims.light_px)
     fit = fit_pose(
-        sites.sheet_mm[used], center[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice, prior
-    )
+        sites.sheet_mm[used], rims.center_px[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice,
+        prior,
+    )  # fmt: skip
     predicted, place = projected(fit.camera, fit.rotation, fit.translation_mm, sites.sheet_mm)
-    misfit = smooth_misfit(fit, predicted[used], shape) if before is None or afresh else before.misfit
+    misfit = smooth_misfit(fit, predicted[used], shape, profile.width_px) if before is None or afresh else before.misfit
+    bias = edge_bias(rims.covariance_px[used], place[used])
     light = fit.response(rims.light_px[used] * math.sqrt(bias.covariance[3, 3]))
     fit = replace(fit, covariance=fit.covariance + np.outer(light, light) + misfit.covariance)
     agreeing = used.copy()
     agreeing[np.flatnonzero(used)[fit.weight <= 0]] = False
     return Refined(
-        sites=sites, rims=rims, center_px=center, measured=used, used=agreeing, fit=fit, predicted_px=predicted,
+        sites=sites, rims=rims, measured=used, used=agreeing, fit=fit, predicted_px=predicted,
         place=place,
         common=Common(profile, bias, misfit), state=tube_states(sites, rims, agreeing), shape=shape, parity=parity,
     )  # fmt: skip

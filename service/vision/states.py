@@ -42,7 +42,7 @@ def tube_states(sites: Sites, rims: Rims, used: NDArray[np.bool_]) -> NDArray[np
         return state
     gain, bore = np.empty(len(rest)), np.empty(len(rest))
     _neighbours(sites.row, sites.column, used, rims.gain.copy(), rims.bore.copy(), rest, gain, bore)
-    mean = rims.seen.mean[rest]
+    mean = rims.mean[rest]
     height = np.where(gain > 0, gain, np.inf)
     inside = (rims.bore[rest] - bore) / height
     step = (rims.outside[rest] - rims.bore[rest]) / height

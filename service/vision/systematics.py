@@ -1,145 +1,62 @@
-"""What all edges of a picture have in common and no residual shows: found, taken away, or put into sigma."""
+"""What all edges of a picture have in common and no residual shows: put into sigma."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.compiled import compiled, median_in_place, median_of
-from service.vision.pose import TUKEY
-from service.vision.rims import solve_feet
+from service.vision.compiled import compiled, median_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from service.vision.edges import EdgeProfile
     from service.vision.pose import Fit
-    from service.vision.rims import EdgeProfile, Rims
 
     Array: TypeAlias = NDArray[np.float64]
 
 __all__ = ["Common", "EdgeBias", "Misfit", "edge_bias", "smooth_misfit"]
 
-BIAS_STRENGTH = 6.0
-BIAS_TUBES = 8
-BIAS_RAYS = 0.5
-MOST_FEET = 120
-"""So many tubes' feet tell what there is to be told."""
-BIAS_PRIOR = np.array([0.35, 0.35, 3.0, 0.07])
-"""One sigma of the common shift (x, y mm), of the edges' apparent depth (mm) and of the light's part before a picture
-says anything."""
-BIAS_FLOOR, BIAS_NOISE = np.array([0.01, 0.01, 0.05, 0.3]), np.array([0.1, 0.1, 0.7, 7.0])
-"""What the correction leaves, measured on truth: at the least, and more per mm (the light's part: px) of the centres'
-usual noise."""
-FORGOTTEN = 0.8
-"""Part of the earlier pictures' information that goes on to the next."""
+BIAS_FLOOR, BIAS_NOISE = np.array([0.003, 0.003, 0.05, 0.3]), np.array([0.05, 0.05, 0.7, 0.0])
+"""One sigma of what shifts all edges in common, measured on truth: x, y and depth in mm, light in `Rims.light_px`, at
+the least, and more per mm of the centres' usual noise."""
+SMOOTH = 0.04
+"""Size of the smooth fields that no residual shows, in edge widths: what light does to edges, measured on truth."""
 UNSEEN = 1e-3
 """Fields that the solution takes up all but this part of tell nothing."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EdgeBias:
-    """What light does to all edges of a picture in common.
+    """What light may do to all edges of a picture in common, and no residual of the pose shows.
 
     Lit bore walls and glints on weld beads move every edge alike, and outwards or inwards with the angle of view, just
-    as if all rims lay deeper, or with the light's own slope. No residual of the pose shows it.
+    as if all rims lay deeper. What the model of a rim leaves of it is declared, not found.
 
     Attributes
     ----------
-    values
-        (4,) shift x and y (px), depth (mm), light (in units of `Rims.light_px`).
-    information
-        (4, 4) that the pictures gave.
     covariance
-        (4, 4): what remains unknown of the values, with what the estimate itself may be wrong by.
+        (4, 4) of a shift x and y (px), of the rims' apparent depth (mm), and of the light's part (`Rims.light_px`).
     """
 
-    values: NDArray[np.float64]
-    information: NDArray[np.float64]
     covariance: NDArray[np.float64]
 
-    def of(self, place: Array, light_px: Array) -> Array:
-        """The shift of each edge, (n, 2) px."""
-        x, y, depth, light = self.values
-        return np.asarray(np.array([x, y]) + depth * place[:, :, 2] + light * light_px, np.float64)
-
     def variance_px2(self, place: Array) -> Array:
-        """What remains unknown of shift and depth at each place, (n,) px^2 per axis; the light is in the pose's."""
+        """What shift and depth do at each place, (n,) px^2 per axis; the light is in the pose's."""
         B = np.zeros((len(place), 2, 3))
         B[:, 0, 0] = B[:, 1, 1] = 1.0
         B[:, :, 2] = place[:, :, 2]
         return np.asarray(np.einsum("nij,jk,nik->n", B, self.covariance[:3, :3], B) / 2, np.float64)
 
 
-def edge_bias(rims: Rims, used: NDArray[np.bool_], place: Array, before: EdgeBias | None) -> EdgeBias:
-    """What the edges have in common, as the difference between whole edges and their feet on the clearest tubes.
-
-    It changes slowly: what the picture `before` knew of it counts for as much as FORGOTTEN leaves.
-    """
-    scale = median_of(np.hypot(place[used, 0, 0], place[used, 0, 1]))
-    units = np.array([scale, scale, 1.0, 1.0])
-    prior, mean = np.diag((BIAS_PRIOR * units) ** -2.0), np.zeros(4)
-    most = MOST_FEET
-    if before is not None:
-        prior, mean, most = prior + FORGOTTEN * before.information, before.values, MOST_FEET // 3
-    noise_px = median_of(np.sqrt((rims.covariance_px[used, 0] + rims.covariance_px[used, 2]) / 2))
-    rest = BIAS_FLOOR + BIAS_NOISE * np.array([1.0, 1.0, 1.0, scale]) * (noise_px / scale)
-    floor = np.diag((rest * units) ** 2)
-    which = np.flatnonzero(used)
-    which = which[:: len(which) // most + 1]
-    shift, covariance, quality = solve_feet(rims, which)
-    good = (quality[:, 0] > BIAS_STRENGTH) & (quality[:, 1] > BIAS_RAYS)
-    if good.sum() < BIAS_TUBES:
-        return EdgeBias(mean, prior, _inverse(prior) + floor)
-    which = which[good]
-    b, N = _common(
-        rims.shift_px[which] - shift[good], place[which, :, 2], rims.light_px[which],
-        1.0 / (covariance[good, 0] + covariance[good, 2]), prior, mean,
-    )  # fmt: skip
-    return EdgeBias(b, N, _inverse(N) + floor)
-
-
-def _inverse(information: Array) -> Array:
-    return np.asarray(np.linalg.inv(information), np.float64)
-
-
-@compiled
-def _common(
-    difference: Array, depth: Array, light: Array, information: Array, prior: Array, mean: Array
-) -> tuple[Array, Array]:
-    """Fit ``difference = shift + depth * b2 + light * b3`` by Tukey's biweight; b (4,) and its information (4, 4)."""
-    n = difference.shape[0]
-    b = mean.copy()
-    N, row = np.zeros((4, 4)), np.zeros(4)
-    stray = np.empty(2 * n)
-    spread = math.inf
-    for _ in range(5):
-        N[:] = prior
-        y = prior @ mean
-        for i in range(n):
-            for axis in range(2):
-                row[0], row[1] = 1.0 - axis, 1.0 * axis
-                row[2], row[3] = depth[i, axis], light[i, axis]
-                r = (difference[i, axis] - row @ b) * math.sqrt(information[i]) / (TUKEY * spread)
-                if r * r >= 1.0:
-                    continue
-                w = information[i] * (1.0 - r * r) ** 2
-                if spread < math.inf:
-                    w /= spread * spread
-                for p in range(4):
-                    y[p] += w * row[p] * difference[i, axis]
-                    for q in range(4):
-                        N[p, q] += w * row[p] * row[q]
-        b[:] = np.linalg.solve(N, y)
-        for i in range(n):
-            for axis in range(2):
-                row[0], row[1] = 1.0 - axis, 1.0 * axis
-                row[2], row[3] = depth[i, axis], light[i, axis]
-                stray[2 * i + axis] = abs(difference[i, axis] - row @ b) * math.sqrt(information[i])
-        spread = max(1.4826 * median_in_place(stray, 2 * n), 0.3)
-    return b, N
+def edge_bias(covariance_px: Array, place: Array) -> EdgeBias:
+    """What is declared of edges whose centres have these covariances, (n, 3) px^2, at these places."""
+    scale = median_of(np.hypot(place[:, 0, 0], place[:, 0, 1]))
+    noise_mm = median_of(np.sqrt((covariance_px[:, 0] + covariance_px[:, 2]) / 2)) / scale
+    sigma = (BIAS_FLOOR + BIAS_NOISE * noise_mm) * np.array([scale, scale, 1.0, 1.0])
+    return EdgeBias(np.diag(sigma**2))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +81,7 @@ class Misfit:
         return np.asarray(self.sigma_px**2 * (1.0 + x2 + y2 + x2 * x2 + x2 * y2 + y2 * y2))  # the fields' squares
 
 
-def smooth_misfit(fit: Fit, center_px: Array, shape: tuple[int, ...]) -> Misfit:
+def smooth_misfit(fit: Fit, center_px: Array, shape: tuple[int, ...], width_px: float) -> Misfit:
     """Measure the smooth part of the residuals that the solution could not take up, and infer the part that it could.
 
     Smooth fields are fitted to the residuals. What they explain beyond chance tells their size; the solution is then
@@ -176,6 +93,8 @@ def smooth_misfit(fit: Fit, center_px: Array, shape: tuple[int, ...]) -> Misfit:
         (n, 2) predicted centres of the solution's points.
     shape
         The picture's height and width.
+    width_px
+        The edges' width.
     """
     scale = max(1.0, fit.scatter_factor**2)
     seen, cross, pull = _smooth_sums(
@@ -187,7 +106,8 @@ def smooth_misfit(fit: Fit, center_px: Array, shape: tuple[int, ...]) -> Misfit:
     clear = eigen > UNSEEN * eigen[-1]
     explained = float(np.sum((vectors.T @ pull)[clear] ** 2 / eigen[clear])) / scale
     variance = max(0.0, (explained - float(clear.sum())) / float(eigen[clear].sum()) * scale)
-    return Misfit(variance**0.5, np.asarray(variance * response @ response.T, np.float64))
+    declared = variance + (SMOOTH * width_px) ** 2
+    return Misfit(variance**0.5, np.asarray(declared * response @ response.T, np.float64))
 
 
 @compiled

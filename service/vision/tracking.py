@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.acquire import candidates
+from service.vision.edges import start_profile
 from service.vision.evidence import CONTRADICTION, SUSPICIOUS, PlaceMap
 from service.vision.lock import LEAST_TUBES, MOST_STRAY, Proof, prove
 from service.vision.motion import Motion, aligned, centred, looked_at
 from service.vision.pose import prior_of
 from service.vision.refinement import refine
-from service.vision.rims import start_profile
 from service.vision.search import search_shift
 from service.vision.working import WorkingCamera
 

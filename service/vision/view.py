@@ -53,7 +53,7 @@ class View:
             row=refined.sites.row,
             column=refined.sites.column,
             measured=refined.measured,
-            center_px=refined.center_px,
+            center_px=refined.rims.center_px,
             covariance_px=refined.rims.covariance_px,
             light_px=refined.rims.light_px,
             bias_covariance=refined.common.bias.covariance,
