@@ -42,6 +42,9 @@ if TYPE_CHECKING:
 __all__ = ["run_pictures"]
 
 RANGE_SIGMA_MM = 2.0
+MOST_TURNS = 4
+"""How often the pictures are measured at the most, and to what part of its sigma f must then stand still."""
+STILL = 0.5
 FOCAL_SIGMA = 0.03
 """Of a focal length that a lens or its maker tells, as a part of it."""
 
@@ -72,25 +75,33 @@ def run_pictures(args: argparse.Namespace) -> int:
 def _calibrated(
     args: argparse.Namespace, grabbers: Sequence[ReplayGrabber], camera: Camera, lattice: Lattice, total: int | None
 ) -> tuple[Collector, Calibration | None]:
-    """Measure and solve; and once more with the camera that was found, where it was not known before.
+    """Measure and solve; and again with the camera that was found, until the focal length stands still.
 
-    Rims are measured along their projection: one from a camera that is far off shifts them a little, and f by 0.07 %.
+    Rims are measured along their projection, and a camera that is off shifts them a little: a first answer is wrong by
+    several of its sigmas, a second one by a third of that.
     """
     known_range = None
     if args.range_mm is not None:
         known_range = Range(args.range_mm[0], args.range_mm[1] or RANGE_SIGMA_MM)
-    measured_with, passes = camera, 1 if camera.complete else 2
+    measured_with = camera
     tqdm.monitor_interval = 0  # no thread of its own
-    with tqdm(total=total and passes * total, unit="frame", disable=None, leave=False) as bar:
-        for _ in range(passes):
-            collector, calibration = Collector(camera, lattice), None
+    for turn in range(MOST_TURNS):
+        collector, calibration = Collector(camera, lattice), None
+        with tqdm(total=total, desc=f"pass {turn + 1}", unit="frame", disable=None, leave=False) as bar:
             _collect(grabbers, collector, measured_with, args.field_order, bar)
-            with contextlib.suppress(DegenerateError):
-                calibration = collector.solve(known_range)
-            if calibration is None:
-                break
-            measured_with = calibration.camera
+        with contextlib.suppress(DegenerateError):
+            calibration = collector.solve(known_range)
+        if calibration is None or _stands_still(measured_with, calibration.camera):
+            break
+        measured_with = calibration.camera
     return collector, calibration
+
+
+def _stands_still(before: Camera, after: Camera) -> bool:
+    """Whether pictures measured with one camera tell of the same."""
+    if before.focal_length_mm is None or after.focal_length_mm is None:
+        return False
+    return abs(after.focal_length_mm - before.focal_length_mm) <= STILL * after.sigma("focal_length_mm")
 
 
 def _check(args: argparse.Namespace) -> None:

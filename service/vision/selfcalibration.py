@@ -30,8 +30,8 @@ __all__ = ["Calibration", "calibrate", "starting_camera", "starting_state"]
 CLEARLY = 25.0
 """By so much must chi-square fall for OpenCV's two radial terms to be taken instead of Tsai's one."""
 LEAST_TUBES = 12
-BLIND = 7e-4
-"""Part of the focal length that goes wrong where pictures are measured with a camera that is not known yet."""
+BLIND = 5.0
+"""How many times the focal length's sigma grows where pictures are measured with a camera that is not known yet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,9 +65,8 @@ class Calibration:
         """The same of pictures that were measured with a camera not yet known, and cannot be measured again."""
         if "focal_length_mm" not in self.camera.parameters:
             return self
-        covariance, i = self.camera.covariance.copy(), self.camera.parameters.index("focal_length_mm")
-        covariance[i, i] += (BLIND * (self.camera.focal_length_mm or 0.0)) ** 2
-        return replace(self, camera=replace(self.camera, covariance=covariance))
+        wider = np.array([BLIND if name == "focal_length_mm" else 1.0 for name in self.camera.parameters])
+        return replace(self, camera=replace(self.camera, covariance=self.camera.covariance * np.outer(wider, wider)))
 
     def depth_over_focal(self) -> tuple[float, float]:
         """Depth of the tubes' middle in the first picture by the focal length, and its sigma.
