@@ -95,6 +95,9 @@ def test_a_picture_that_is_not_live_wears_a_banner_that_nothing_hides(open_page,
     assert "for the test" in page.text("#banner")
     assert page.text("#liveness") == word
     assert page.run(ON_TOP)
+    hand = page.run("document.getElementById('hand').getAttribute('transform')")
+    time.sleep(0.3)
+    assert page.run("document.getElementById('hand').getAttribute('transform')") == hand
     for key in ("Escape", "k", "s", "x"):
         page.key(key)
     page.click_on("#banner")

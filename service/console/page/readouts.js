@@ -38,7 +38,8 @@ export class Readouts {
       this.#points.push(head.trend);
       while (this.#points.length && this.#points[0][0] < head.trend[0] - 61000) this.#points.shift();
     }
-    $("hand").setAttribute("transform", `rotate(${(head.sequence % 30) * 12})`);
+    const dead = document.body.classList.contains("dead"); // frozen frames have numbers too
+    if (!dead) $("hand").setAttribute("transform", `rotate(${(head.sequence % 30) * 12})`);
     this.#dials(head);
     if (nowMs - this.#textMs < 120) return;
     this.#textMs = nowMs;
