@@ -50,6 +50,7 @@ RADIUS_SIGMA = 9.0
 OUTER_DOUBT = 0.7
 """By how many times the noise samples are in doubt, per edge width beyond one: welds and neighbours begin there."""
 BEYOND_BLUR, SEAM_IN, SEAM_WIDTH = 1.0, 0.2, 0.7
+"""Blur of what begins beyond the wall; how far inside the wall's edge its seam lies, and how wide: in edge widths."""
 LIGHT_SHIFT, LIGHT_BLUR, SHARP_PX = 0.15, 1.0, 0.8
 """What uneven light shifts a rim by, in `Rims.light_px`: on sharp pictures, and more per px of blur beyond SHARP_PX.
 Measured on truth."""
@@ -60,6 +61,7 @@ NOISE_SCALE = 2.0
 LEAST_RAYS = 8
 """Fewer rays in the picture tell nothing of a tube."""
 LEAST_GAIN = 0.3
+"""Least height of a tube's edge, of that which its rays told one by one, that a shift is told with."""
 LEAST_RAY_GAIN = 0.12
 """A ray whose gain falls below this share of the tube's shows no edge."""
 REACH = 1.6
@@ -70,9 +72,12 @@ SHARED = 1.4
 """Neighbouring rays see the same pixels: their common error counts once, measured on truth."""
 LEAST_AGREEING = 6.0
 LEAST_MISFIT = 0.03
+"""A ray never fits better than this part of what noise and model say."""
 SPREAD = 1.5
-"""Errors over what the rays' own misfit tells: neighbouring rays see the same pixels, and shapes are but alike. Measured
-on truth."""
+"""Errors over what the rays' own misfit tells, measured on truth: neighbouring rays see the same pixels, and shapes are
+but alike."""
+ROUNDS = 3
+"""How often a tube is solved for; from the second time on, rays count by how well they fit."""
 CUT = 9.0
 """A ray that fits this many times worse than the usual one does not count."""
 SIZE = 3 * BASIS
@@ -296,7 +301,7 @@ def _solve(
     for i in range(numbers.shape[0]):
         o = out[i]
         gain, bore = o[5], o[6]
-        if gain <= 0.0 or o[9] == 0.0:
+        if not gain > 0.0 or o[9] == 0.0:
             continue
         precision = 1.0 / ((noise / gain) ** 2 + MODEL * MODEL)
         K = np.linalg.inv(np.eye(BASIS) + precision * M0 * stray) * precision
@@ -306,7 +311,7 @@ def _solve(
             for p in range(BASIS):
                 z[k, p] = (numbers[i, k, p] - bore * M0[0, p]) / gain
         usual, agreeing = 1.0, 0.0
-        for step in range(2):
+        for step in range(ROUNDS):
             H[:], Z[:], agreeing = 0.0, 0.0, 0.0
             for k in range(count):
                 w = weight[k]
@@ -343,7 +348,7 @@ def _solve(
                 agreeing = 0.0
                 break
             _substitute(A, rhs, x)
-            if step == 1:
+            if step == ROUNDS - 1:
                 break
             n = 0
             for k in range(count):
