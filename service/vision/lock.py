@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Proof", "prove"]
 
-LEAST_SHARE = 0.12
+LEAST_SHARE = 0.14
 """Least share of the places in the picture that must show a tube; half-dark pictures show a quarter."""
 LEAST_TUBES = 8
 MOST_DECOYS = 0.2
