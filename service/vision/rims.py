@@ -49,8 +49,8 @@ RADIUS_SIGMA = 9.0
 """How far, in edge widths, one tube's apparent radius strays from the picture's: as it likes."""
 OUTER_DOUBT = 0.7
 """By how many times the noise samples are in doubt, per edge width beyond one: welds and neighbours begin there."""
-BEYOND_BLUR, SEAM_IN, SEAM_WIDTH = 1.0, 0.2, 0.7
-"""Blur of what begins beyond the wall; how far inside the wall's edge its seam lies, and how wide: in edge widths."""
+SEAM_IN, SEAM_WIDTH = 0.2, 0.7
+"""How far inside the wall's outer edge its seam lies, and how wide it is, in edge widths."""
 LIGHT_SHIFT, LIGHT_BLUR, SHARP_PX = 0.15, 1.0, 0.8
 """What uneven light shifts a rim by, in `Rims.light_px`: on sharp pictures, and more per px of blur beyond SHARP_PX.
 Measured on truth."""
@@ -81,6 +81,8 @@ ROUNDS = 3
 CUT = 9.0
 """A ray that fits this many times worse than the usual one does not count."""
 SIZE = 3 * BASIS
+LANES = 8
+"""Tubes that are solved side by side."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,14 +159,7 @@ def measure_rims(
     scale = _px_per_mm(vector, rotation, translation_mm, sheet_mm)
     count = rays or rays_for(2 * math.pi * lattice.rim_radius_mm * scale)
     wall_px = (lattice.outer_radius_mm - lattice.rim_radius_mm) * scale
-    functionals, normal_matrix = _shapes(
-        profile.template,
-        profile.width_px,
-        profile.position_px,
-        wall_px,
-        OUTER_DOUBT,
-        np.array([BEYOND_BLUR, SEAM_IN, SEAM_WIDTH]),
-    )
+    functionals, shapes = _shapes(profile, wall_px)
     numbers, direction = np.empty((n, count, NUMBERS), np.float32), np.empty((n, count, 2), np.float32)
     valid, mean = np.empty((n, count), np.bool_), np.empty((n, SAMPLES))
     center, level, out = np.empty((n, 2)), np.zeros(n), np.zeros((n, 11))
@@ -172,11 +167,14 @@ def measure_rims(
         image, vector, rotation, translation_mm, sheet_mm, lattice.rim_radius_mm, circle_of(count), profile.offsets_px,
         functionals, numbers, direction, center, valid, mean, level,
     )  # fmt: skip
-    noise = _levels_of(numbers, valid, normal_matrix, out)
+    noise = _levels_of(numbers, valid, shapes.first, shapes.edge, out)
     if profile.learnt:
-        _solve(numbers, direction, valid, normal_matrix, noise * NOISE_SCALE, STRAY**2, _prior(profile), out)
+        _solve(
+            numbers, direction, valid, shapes.first, shapes.information, shapes.basis, shapes.prior, shapes.expected,
+            noise * NOISE_SCALE, out,
+        )  # fmt: skip
     else:
-        _find(numbers, direction, valid, normal_matrix, REACH * profile.width_px, out)
+        _find(numbers, direction, valid, shapes.first, shapes.edge, shapes.moved, REACH * profile.width_px, out)
     out[:, 1] /= aspect
     slope = np.zeros((n, 2))
     light_slopes(
@@ -192,14 +190,6 @@ def measure_rims(
     )  # fmt: skip
 
 
-def _prior(profile: EdgeProfile) -> Array:
-    """Information, (BASIS, 3), that draws each shape's mean, cosine's and sine's part to what is expected."""
-    prior = np.zeros((BASIS, 3))
-    prior[:-1, 1:] = LEAN[:, None] ** -2.0
-    prior[1:, 0] = HEIGHT**-2.0, BEYOND**-2.0, SEAM**-2.0, (RADIUS_SIGMA * profile.width_px) ** -2.0
-    return prior
-
-
 def _px_per_mm(vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array) -> float:
     """Scale in the middle of the places, px per mm."""
     middle = sheet_mm.mean(axis=0)
@@ -207,36 +197,92 @@ def _px_per_mm(vector: Array, rotation: Array, translation_mm: Array, sheet_mm: 
     return math.sqrt(vector[0] * vector[1]) / max(float(depth), 1e-6)
 
 
-@compiled
-def _shapes(
-    T: Array, width: float, position: float, wall_px: float, outer_doubt: float, look: Array
-) -> tuple[NDArray[np.float32], Array]:
-    """What samples are multiplied with, (BASIS + 1, SAMPLES), and the shapes' normal matrix, (BASIS, BASIS).
+@dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """What a ray is made of, in terms in which both noise and straying are diagonal.
 
-    For noise of one grey value over one px; the last row weighs squares of samples.
+    With the shapes `B`, samples weighed by `W`, straying of covariance `S` and ``S^1/2 B^T W B S^1/2 = Q L Q^T``, the
+    shapes ``B S^1/2 Q`` have the diagonal normal matrix `L` and stray by one each.
+
+    Attributes
+    ----------
+    basis
+        (BASIS, BASIS): ``S^1/2 Q`` takes coefficients in these terms to those of the shapes themselves.
+    information
+        (BASIS,) `L`, for noise of one grey value over one px.
+    first
+        (BASIS,) numbers of a ray that is one everywhere.
+    edge, moved
+        (BASIS,) what a ray's numbers above its bore are multiplied with for the height of its edge, by itself, and for
+        that height times its shift.
+    prior, expected
+        (2, BASIS, BASIS) information on the means and on each of the leans, before a tube is looked at; (BASIS,) that
+        of the means times what is expected.
     """
-    functionals, M = np.empty((BASIS + 1, SAMPLES), np.float32), np.zeros((BASIS, BASIS))
-    row, last = np.empty(BASIS), SAMPLES - 1
-    for j in range(SAMPLES):
-        left, right = max(j - 1, 0), min(j + 1, last)
-        span = GRID[right] - GRID[left]
-        slope = (T[right] - T[left]) / (width * span)
-        u = (position - wall_px) / width + GRID[j]
-        beyond = 0.5 * (1.0 + math.erf(u / (look[0] * math.sqrt(2.0))))
-        seam = math.exp(-0.5 * ((u + look[1]) / look[2]) ** 2)
-        row[0], row[1], row[2], row[3], row[4] = 1.0, T[j], beyond, seam, -slope
-        doubt = outer_doubt * max(GRID[j] - 1.0, 0.0)
-        weight = width * span / (right - left) / (1.0 + doubt * doubt)
-        functionals[BASIS, j] = weight
-        for p in range(BASIS):
-            functionals[p, j] = weight * row[p]
-            for q in range(BASIS):
-                M[p, q] += weight * row[p] * row[q]
-    return functionals, M
+
+    basis: NDArray[np.float64]
+    information: NDArray[np.float64]
+    first: NDArray[np.float64]
+    edge: NDArray[np.float64]
+    moved: NDArray[np.float64]
+    prior: NDArray[np.float64]
+    expected: NDArray[np.float64]
+
+
+def _shapes(profile: EdgeProfile, wall_px: float) -> tuple[NDArray[np.float32], Shapes]:
+    """What samples are multiplied with, (BASIS + 1, SAMPLES), the last row for their squares; and in what terms."""
+    means = np.array([np.inf, HEIGHT, BEYOND, SEAM, RADIUS_SIGMA * profile.width_px])
+    functionals, terms = _in_own_terms(profile.template, profile.width_px, profile.position_px, wall_px, means**-2.0)
+    return functionals, Shapes(*terms)
 
 
 @compiled
-def _levels_of(numbers: NDArray[np.float32], valid: NDArray[np.bool_], M: Array, out: Array) -> float:
+def _in_own_terms(
+    T: Array, width: float, position: float, wall_px: float, on_means: Array
+) -> tuple[NDArray[np.float32], tuple[Array, Array, Array, Array, Array, Array, Array]]:
+    B, weight = _look_of_ray(T, width, position, wall_px)
+    M = (B * weight) @ B.T
+    information, Q = np.linalg.eigh(STRAY.reshape(-1, 1) * M * STRAY)
+    basis = STRAY.reshape(-1, 1) * Q
+    functionals = np.empty((BASIS + 1, SAMPLES), np.float32)
+    functionals[:BASIS] = (basis.T @ B) * weight
+    functionals[BASIS] = weight
+    det = M[1, 1] * M[4, 4] - M[1, 4] * M[1, 4]
+    edge, moved = np.empty(BASIS), np.empty(BASIS)
+    for p in range(BASIS):  # where a ray is nothing but its edge
+        edge[p] = (M[4, 4] * Q[1, p] / STRAY[1] - M[1, 4] * Q[4, p] / STRAY[4]) / det
+        moved[p] = (M[1, 1] * Q[4, p] / STRAY[4] - M[1, 4] * Q[1, p] / STRAY[1]) / det
+    prior = np.zeros((2, BASIS, BASIS))
+    for k in range(BASIS):
+        on_lean = LEAN[k] ** -2.0 if k < BASIS - 1 else 0.0
+        for p in range(BASIS):
+            for q in range(BASIS):
+                prior[0, p, q] += on_means[k] * basis[k, p] * basis[k, q]
+                prior[1, p, q] += on_lean * basis[k, p] * basis[k, q]
+    first = basis.T @ np.ascontiguousarray(M[:, 0])
+    return functionals, (basis, information, first, edge, moved, prior, basis[1] * on_means[1])
+
+
+@compiled
+def _look_of_ray(T: Array, width: float, position: float, wall_px: float) -> tuple[Array, Array]:
+    """The shapes, (BASIS, SAMPLES), and what each sample counts for, (SAMPLES,), for noise of one over one px."""
+    B, weight = np.empty((BASIS, SAMPLES)), np.empty(SAMPLES)
+    for j in range(SAMPLES):
+        left, right = max(j - 1, 0), min(j + 1, SAMPLES - 1)
+        span = GRID[right] - GRID[left]
+        beyond = (position - wall_px) / width + GRID[j]
+        B[0, j] = 1.0
+        B[1, j] = T[j]
+        B[2, j] = 0.5 * (1.0 + math.erf(beyond / math.sqrt(2.0)))
+        B[3, j] = math.exp(-0.5 * ((beyond + SEAM_IN) / SEAM_WIDTH) ** 2)
+        B[4, j] = -(T[right] - T[left]) / (width * span)
+        doubt = OUTER_DOUBT * max(GRID[j] - 1.0, 0.0)
+        weight[j] = width * span / (right - left) / (1.0 + doubt * doubt)
+    return B, weight
+
+
+@compiled
+def _levels_of(numbers: NDArray[np.float32], valid: NDArray[np.bool_], first: Array, edge: Array, out: Array) -> float:
     """Levels, height of the edge and strength of each tube, into `out`; gives the noise of a grey value.
 
     The columns of `out` are those of `Rims`: shift x, y; covariance xx, xy, yy; gain, bore, outside, strength, rays,
@@ -244,7 +290,9 @@ def _levels_of(numbers: NDArray[np.float32], valid: NDArray[np.bool_], M: Array,
     """
     count = numbers.shape[1]
     work, noises, told = np.empty(count), np.empty(numbers.shape[0]), 0
-    edge = M[1, 1] * M[4, 4] - M[1, 4] * M[1, 4]
+    of_one = 0.0
+    for p in range(BASIS):
+        of_one += edge[p] * first[p]
     for i in range(numbers.shape[0]):
         o = out[i]
         o[8] = -1.0
@@ -265,8 +313,7 @@ def _levels_of(numbers: NDArray[np.float32], valid: NDArray[np.bool_], M: Array,
         n = 0
         for k in range(count):
             if valid[i, k]:
-                b, d = numbers[i, k, 1] - bore * M[0, 1], numbers[i, k, 4] - bore * M[0, 4]
-                work[n] = (b * M[4, 4] - d * M[1, 4]) / edge
+                work[n] = _dot(edge, numbers[i, k]) - bore * of_one
                 n += 1
         gain, stray = clipped_mean(work, n)
         n = 0
@@ -283,124 +330,198 @@ def _levels_of(numbers: NDArray[np.float32], valid: NDArray[np.bool_], M: Array,
 
 
 @compiled
+def _dot(a: Array, numbers: NDArray[np.float32]) -> float:
+    y = 0.0
+    for p in range(BASIS):
+        y += a[p] * numbers[p]
+    return y
+
+
+@compiled
 def _solve(
-    numbers: NDArray[np.float32], direction: NDArray[np.float32], valid: NDArray[np.bool_], M0: Array, noise: float,
-    stray: Array, prior: Array, out: Array,
+    numbers: NDArray[np.float32], direction: NDArray[np.float32], valid: NDArray[np.bool_], first: Array,
+    information: Array, basis: Array, prior: Array, expected: Array, noise: float, out: Array,
 ) -> None:  # fmt: skip
     """Shift, radius and covariance of each tube, into `out`, which holds the levels already.
 
-    A ray's samples have the covariance ``R = s^2 W^-1 + B S B^T``: noise, and the shapes `B` straying by `S`. With
-    ``K = (I + M0 S / s^2)^-1 / s^2`` that gives ``B^T R^-1 = K B^T W``, so that sums of a ray's numbers are all it
-    takes.
+    A ray's samples have the covariance ``s^2 W^-1 + B S B^T``: noise, and shapes that stray. In the terms of `Shapes`,
+    what a ray's numbers tell of its coefficients is then diagonal: ``L / (s^2 + L)``. LANES tubes are solved side by
+    side, as a processor adds and multiplies several at a time.
     """
     count = numbers.shape[1]
-    weight, misfit, work = np.empty(count), np.empty(count), np.empty(count)
-    z, d, share = np.empty((count, BASIS)), np.empty(BASIS), np.empty(BASIS)
-    H, Z, rhs, x = np.empty((3, 3)), np.empty((BASIS, 3)), np.empty(SIZE), np.empty(SIZE)
-    A = np.empty((SIZE, SIZE))
-    for i in range(numbers.shape[0]):
-        o = out[i]
-        gain, bore = o[5], o[6]
-        if not gain > 0.0 or o[9] == 0.0:
-            continue
-        precision = 1.0 / ((noise / gain) ** 2 + MODEL * MODEL)
-        K = np.linalg.inv(np.eye(BASIS) + precision * M0 * stray) * precision
-        M = K @ M0
-        for k in range(count):
-            weight[k] = 1.0 if valid[i, k] else 0.0
-            for p in range(BASIS):
-                z[k, p] = (numbers[i, k, p] - bore * M0[0, p]) / gain
-        usual, agreeing = 1.0, 0.0
-        for step in range(ROUNDS):
-            H[:], Z[:], agreeing = 0.0, 0.0, 0.0
-            for k in range(count):
-                w = weight[k]
-                if w <= 0.0:
-                    continue
-                agreeing += w
-                ux, uy = direction[i, k, 0], direction[i, k, 1]
-                H[0, 0] += w
-                H[0, 1] += w * ux
-                H[0, 2] += w * uy
-                H[1, 1] += w * ux * ux
-                H[1, 2] += w * ux * uy
-                H[2, 2] += w * uy * uy
+    weight, z = np.empty((LANES, count)), np.empty((LANES, count, BASIS))
+    counted, told = np.empty((LANES, BASIS)), np.empty((LANES, BASIS))
+    usual, agreeing, precision = np.empty(LANES), np.empty(LANES), np.empty(LANES)
+    A, rhs, x = np.empty((SIZE, SIZE, LANES)), np.empty((SIZE, LANES)), np.empty((SIZE, LANES))
+    tube = np.empty(LANES, np.int64)
+    i = 0
+    while i < numbers.shape[0]:
+        lanes = 0
+        while lanes < LANES and i < numbers.shape[0]:
+            if out[i, 5] > 0.0 and out[i, 9] > 0.0:
+                tube[lanes] = i
+                precision[lanes] = 1.0 / ((noise / out[i, 5]) ** 2 + MODEL * MODEL)
                 for p in range(BASIS):
-                    y = w * z[k, p]
-                    Z[p, 0] += y
-                    Z[p, 1] += y * ux
-                    Z[p, 2] += y * uy
-            if agreeing < LEAST_AGREEING:
-                break
-            H[1, 0], H[2, 0], H[2, 1] = H[0, 1], H[0, 2], H[1, 2]
-            for p in range(BASIS):
-                for h in range(3):
-                    y = 0.0
-                    for q in range(BASIS):
-                        y += K[p, q] * Z[q, h]
-                    rhs[3 * p + h] = y
-                    for q in range(p + 1):
-                        for g in range(3):
-                            A[3 * p + h, 3 * q + g] = M[p, q] * H[h, g]
-                    A[3 * p + h, 3 * p + h] += prior[p, h]
-            rhs[3] += prior[1, 0]
-            if not _factor(A):
-                agreeing = 0.0
-                break
+                    told[lanes, p] = precision[lanes] / (1.0 + precision[lanes] * information[p])
+                    counted[lanes, p] = told[lanes, p] * information[p]
+                for k in range(count):
+                    weight[lanes, k] = 1.0 if valid[i, k] else 0.0
+                    for p in range(BASIS):
+                        z[lanes, k, p] = (numbers[i, k, p] - out[i, 6] * first[p]) / out[i, 5]
+                lanes += 1
+            i += 1
+        if lanes == 0:
+            break
+        for step in range(ROUNDS):
+            for lane in range(LANES):
+                of = min(lane, lanes - 1)  # spare lanes go along with the last
+                agreeing[lane] = _equations(
+                    direction[tube[of]], weight[of], z[of], counted[of], told[of], prior, expected, A, rhs, lane
+                )
+            _factor(A)
             _substitute(A, rhs, x)
             if step == ROUNDS - 1:
                 break
-            n = 0
-            for k in range(count):
-                if not valid[i, k]:
-                    continue
-                ux, uy = direction[i, k, 0], direction[i, k, 1]
-                raw = numbers[i, k, ENERGY] - bore * (2.0 * numbers[i, k, 0] - bore * M0[0, 0])
-                square = raw / (gain * gain)
-                for p in range(BASIS):
-                    share[p] = x[3 * p] + ux * x[3 * p + 1] + uy * x[3 * p + 2]
-                for p in range(BASIS):
-                    d[p] = z[k, p]
-                    for q in range(BASIS):
-                        d[p] -= M0[p, q] * share[q]
-                    square -= share[p] * (z[k, p] + d[p])
-                square *= precision
-                for p in range(BASIS):  # what straying shapes explain of the residual
-                    y = 0.0
-                    for q in range(BASIS):
-                        y += K[p, q] * d[q]
-                    square -= precision * stray[p] * d[p] * y
-                misfit[k] = square / SAMPLES
-                work[n] = misfit[k]
-                n += 1
-            usual = max(median_in_place(work, n), 1e-3)
-            for k in range(count):
-                if valid[i, k]:
-                    weight[k] = max(1.0 - misfit[k] / (CUT * usual), 0.0)
-        o[9] = agreeing / count
-        if agreeing < LEAST_AGREEING:
+            for lane in range(lanes):
+                j = tube[lane]
+                if agreeing[lane] >= LEAST_AGREEING:
+                    usual[lane] = _reweigh(
+                        numbers[j], direction[j], valid[j], z[lane], out[j, 5], out[j, 6], first, information,
+                        told[lane], precision[lane], x[:, lane], weight[lane],
+                    )  # fmt: skip
+        _tell(tube[:lanes], count, agreeing, usual, basis, A, x, out)
+
+
+@compiled
+def _equations(
+    direction: NDArray[np.float32], weight: Array, z: Array, counted: Array, told: Array, prior: Array, expected: Array,
+    A: Array, rhs: Array, lane: int,
+) -> float:  # fmt: skip
+    """Normal equations of one tube, lower half; unknowns are means, cosines and sines of each shape. Sum of weights."""
+    s, sx, sy, sxx, sxy, syy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for p in range(SIZE):
+        rhs[p, lane] = 0.0
+    for k in range(weight.shape[0]):
+        w = weight[k]
+        if w <= 0.0:
+            continue
+        ux, uy = direction[k, 0], direction[k, 1]
+        s += w
+        sx += w * ux
+        sy += w * uy
+        sxx += w * ux * ux
+        sxy += w * ux * uy
+        syy += w * uy * uy
+        for p in range(BASIS):
+            y = w * z[k, p]
+            rhs[p, lane] += y
+            rhs[BASIS + p, lane] += y * ux
+            rhs[2 * BASIS + p, lane] += y * uy
+    for p in range(BASIS):
+        for q in range(BASIS):
+            A[p, q, lane] = prior[0, p, q]
+            A[BASIS + p, BASIS + q, lane] = prior[1, p, q]
+            A[2 * BASIS + p, 2 * BASIS + q, lane] = prior[1, p, q]
+            A[BASIS + p, q, lane] = 0.0
+            A[2 * BASIS + p, q, lane] = 0.0
+            A[2 * BASIS + p, BASIS + q, lane] = 0.0
+        A[p, p, lane] += counted[p] * s
+        A[BASIS + p, p, lane] = counted[p] * sx
+        A[2 * BASIS + p, p, lane] = counted[p] * sy
+        A[BASIS + p, BASIS + p, lane] += counted[p] * sxx
+        A[2 * BASIS + p, BASIS + p, lane] = counted[p] * sxy
+        A[2 * BASIS + p, 2 * BASIS + p, lane] += counted[p] * syy
+        for h in range(3):
+            rhs[h * BASIS + p, lane] *= told[p]
+        rhs[p, lane] += expected[p]
+    return s
+
+
+@compiled
+def _reweigh(
+    numbers: NDArray[np.float32], direction: NDArray[np.float32], valid: NDArray[np.bool_], z: Array, gain: float,
+    bore: float, first: Array, information: Array, told: Array, precision: float, x: Array, weight: Array,
+) -> float:  # fmt: skip
+    """Weigh each ray by how well it fits, `weight`; gives how badly the usual one does, chi-square a sample."""
+    count = weight.shape[0]
+    misfit, work, n = np.empty(count), np.empty(count), 0
+    of_one = 0.0  # energy of a ray that is one everywhere
+    for p in range(BASIS):
+        of_one += first[p] * first[p] / information[p]
+    for k in range(count):
+        if not valid[k]:
+            continue
+        ux, uy = direction[k, 0], direction[k, 1]
+        square, above = numbers[k, ENERGY], 0.0
+        for p in range(BASIS):
+            above += first[p] / information[p] * numbers[k, p]
+        square = (square - bore * (2.0 * above - bore * of_one)) / (gain * gain)
+        explained = 0.0
+        for p in range(BASIS):
+            share = x[p] + ux * x[BASIS + p] + uy * x[2 * BASIS + p]
+            rest = z[k, p] - information[p] * share
+            square -= share * (z[k, p] + rest)
+            explained += told[p] * rest * rest  # by straying
+        misfit[k] = precision * (square - explained) / SAMPLES
+        work[n] = misfit[k]
+        n += 1
+    usual = max(median_in_place(work, n), 1e-3)
+    for k in range(count):
+        if valid[k]:
+            weight[k] = max(1.0 - misfit[k] / (CUT * usual), 0.0)
+        else:
+            weight[k] = 0.0
+    return usual
+
+
+@compiled
+def _tell(
+    tube: NDArray[np.int64], count: int, agreeing: Array, usual: Array, basis: Array, A: Array, x: Array, out: Array
+) -> None:  # fmt: skip
+    """What tubes are told from their coefficients, into `out`; A holds Cholesky's factors."""
+    last = BASIS - 1
+    lever, root = np.zeros((2, SIZE, LANES)), np.empty((2, SIZE, LANES))
+    for p in range(BASIS):
+        lever[0, BASIS + p], lever[1, 2 * BASIS + p] = basis[last, p], basis[last, p]
+    for h in range(2):
+        _forward(A, lever[h], root[h])
+    for lane in range(tube.shape[0]):
+        o = out[tube[lane]]
+        o[9] = agreeing[lane] / count
+        height, lean_x, lean_y, radius, dx, dy = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for p in range(BASIS):
+            height += basis[1, p] * x[p, lane]
+            lean_x += basis[1, p] * x[BASIS + p, lane]
+            lean_y += basis[1, p] * x[2 * BASIS + p, lane]
+            radius += basis[last, p] * x[p, lane]
+            dx += basis[last, p] * x[BASIS + p, lane]
+            dy += basis[last, p] * x[2 * BASIS + p, lane]
+        xx, xy, yy = 0.0, 0.0, 0.0
+        for p in range(SIZE):
+            xx += root[0, p, lane] * root[0, p, lane]
+            xy += root[0, p, lane] * root[1, p, lane]
+            yy += root[1, p, lane] * root[1, p, lane]
+        if agreeing[lane] < LEAST_AGREEING or not xx > 0.0 or not yy > 0.0:
             o[8] = -1.0
             continue
-        height, radius = max(x[3], LEAST_GAIN), x[SIZE - 3]
+        height = max(height, LEAST_GAIN)
         o[10] = radius / height
-        o[0] = (x[SIZE - 2] - x[4] * o[10]) / height
-        o[1] = (x[SIZE - 1] - x[5] * o[10]) / height
-        # the last two rows of the factor are all that the inverse's last corner takes
-        a, b, c = A[SIZE - 2, SIZE - 2], A[SIZE - 1, SIZE - 2], A[SIZE - 1, SIZE - 1]
-        excess = max(usual, LEAST_MISFIT) * SPREAD * SPREAD
-        o[2] = (1.0 / (a * a) + (b / (a * c)) ** 2) * excess
-        o[3] = -b / (a * c * c) * excess
-        o[4] = 1.0 / (c * c) * excess
+        o[0], o[1] = (dx - lean_x * o[10]) / height, (dy - lean_y * o[10]) / height
+        excess = max(usual[lane], LEAST_MISFIT) * SPREAD * SPREAD
+        o[2], o[3], o[4] = xx * excess, xy * excess, yy * excess
 
 
 @compiled
 def _find(
-    numbers: NDArray[np.float32], direction: NDArray[np.float32], valid: NDArray[np.bool_], M: Array, reach: float,
-    out: Array,
+    numbers: NDArray[np.float32], direction: NDArray[np.float32], valid: NDArray[np.bool_], first: Array, edge: Array,
+    moved: Array, reach: float, out: Array,
 ) -> None:  # fmt: skip
     """Shift, radius and covariance of each tube whose edge may lie far off, ray by ray, into `out`."""
     count = numbers.shape[1]
-    edge = M[1, 1] * M[4, 4] - M[1, 4] * M[1, 4]
+    of_one, shift_of_one = 0.0, 0.0
+    for p in range(BASIS):
+        of_one += edge[p] * first[p]
+        shift_of_one += moved[p] * first[p]
     work, shift, weight = np.empty(count), np.empty(count), np.empty(count)
     for i in range(numbers.shape[0]):
         o = out[i]
@@ -411,10 +532,10 @@ def _find(
             weight[k] = 0.0
             if not valid[i, k]:
                 continue
-            b, d = numbers[i, k, 1] - bore * M[0, 1], numbers[i, k, 4] - bore * M[0, 4]
-            g, moved = (b * M[4, 4] - d * M[1, 4]) / edge, (d * M[1, 1] - b * M[1, 4]) / edge
-            if g > LEAST_RAY_GAIN * gain and abs(moved) < reach * g:
-                shift[k] = moved / g
+            g = _dot(edge, numbers[i, k]) - bore * of_one
+            gs = _dot(moved, numbers[i, k]) - bore * shift_of_one
+            if g > LEAST_RAY_GAIN * gain and abs(gs) < reach * g:
+                shift[k] = gs / g
                 weight[k] = min(g / gain, 1.5) ** 2
         if not _circle_fit(direction[i], shift, weight, work, o):
             o[8] = -1.0
@@ -481,33 +602,41 @@ def _circle_fit(direction: NDArray[np.float32], shift: Array, weight: Array, wor
 
 
 @compiled
-def _factor(A: Array) -> bool:
-    """Cholesky's factor in place of the lower half; False where the matrix is not positive."""
-    for p in range(A.shape[0]):
+def _factor(A: Array) -> None:
+    """Cholesky's factors in place of the lower halves of (SIZE, SIZE, LANES); NaN where one is not positive."""
+    for p in range(SIZE):
         for q in range(p + 1):
-            y = A[p, q]
             for r in range(q):
-                y -= A[p, r] * A[q, r]
+                for lane in range(LANES):
+                    A[p, q, lane] -= A[p, r, lane] * A[q, r, lane]
             if q < p:
-                A[p, q] = y / A[q, q]
-            elif y <= 0.0:
-                return False
+                for lane in range(LANES):
+                    A[p, q, lane] *= A[q, q, lane]
             else:
-                A[p, p] = math.sqrt(y)
-    return True
+                for lane in range(LANES):
+                    A[p, p, lane] = 1.0 / math.sqrt(A[p, p, lane])  # inverse: divisions are slow
+
+
+@compiled
+def _forward(L: Array, rhs: Array, x: Array) -> None:
+    """Solve ``L x = rhs``; diagonals of L hold their inverses."""
+    for p in range(SIZE):
+        for lane in range(LANES):
+            x[p, lane] = rhs[p, lane]
+        for q in range(p):
+            for lane in range(LANES):
+                x[p, lane] -= L[p, q, lane] * x[q, lane]
+        for lane in range(LANES):
+            x[p, lane] *= L[p, p, lane]
 
 
 @compiled
 def _substitute(L: Array, rhs: Array, x: Array) -> None:
     """Solve ``L L^T x = rhs``."""
-    n = L.shape[0]
-    for p in range(n):
-        y = rhs[p]
-        for q in range(p):
-            y -= L[p, q] * x[q]
-        x[p] = y / L[p, p]
-    for p in range(n - 1, -1, -1):
-        y = x[p]
-        for q in range(p + 1, n):
-            y -= L[q, p] * x[q]
-        x[p] = y / L[p, p]
+    _forward(L, rhs, x)
+    for p in range(SIZE - 1, -1, -1):
+        for q in range(p + 1, SIZE):
+            for lane in range(LANES):
+                x[p, lane] -= L[q, p, lane] * x[q, lane]
+        for lane in range(LANES):
+            x[p, lane] *= L[p, p, lane]
