@@ -408,6 +408,11 @@ def _verify(p: _Parser) -> None:
     p.add_argument("--recompute", action="store_true", help="measure all of it again, too")
 
 
+def _report(p: _Parser) -> None:
+    p.add_argument("session", metavar="SESSION", type=Path, help="a recorded session's folder")
+    p.add_argument("--out", metavar="FILE.html", type=_file, help="default: the session's name, in this folder")
+
+
 def _sessions(p: _Parser) -> None:
     p.add_argument(
         "words", metavar="WORD", nargs="*", help="only those that have it: tube, name, operator, date, event"
@@ -454,6 +459,7 @@ COMMANDS: dict[str, tuple[str, str, Callable[[_Parser], None]]] = {
     "simulate": ("render a bowl video with its truth", "bowl.mkv --generator model-f --seed 7", _simulate),
     "sessions": ("list and search recorded sessions", "L83R87 --since 2026-11-01", _sessions),
     "verify": ("check a session's evidence and every byte of it", "SESSION --recompute", _verify),
+    "report": ("write a session's report, one HTML file for screen and paper", "SESSION --out report.html", _report),
     "devices": ("list the sources and devices of this machine", "", _devices),
 }
 """Name: what it does, an example of its arguments, its options. Module `service.cli.NAME` runs it, with _ for -."""

@@ -29,9 +29,17 @@ BLOCK_BYTES = 1 << 20
 KNOWN = {ABOUT, INDEX, EVENTS, RESULTS, CSV, VIEWER, LOCK, CONFIG, VIDEO, EVIDENCE}
 
 
-def verify_session(folder: Path) -> Iterator[Finding]:
-    """Check a session's folder against its own hashes and check sums; nothing is given where all is well."""
-    yield from _Verification(folder).findings()
+def verify_session(folder: Path, *, videos: bool = True) -> Iterator[Finding]:
+    """Check a session's folder against its own hashes and check sums; nothing is given where all is well.
+
+    Parameters
+    ----------
+    folder
+        The session's.
+    videos
+        Whether to read the video files too, which takes as long as the disk needs for all of them.
+    """
+    yield from _Verification(folder).findings(videos=videos)
 
 
 class _Verification:
@@ -45,14 +53,14 @@ class _Verification:
         self._evidence = EvidenceCheck(folder)
         self._frames = self._measured = self._results_end = 0
 
-    def findings(self) -> Iterator[Finding]:
+    def findings(self, *, videos: bool) -> Iterator[Finding]:
         yield from self._index()
         yield from self._end()
         yield from self._about()
         for name, recorded in (self._closed.sha256 if self._closed is not None else {}).items():
             yield from _hashed(self._folder, name, recorded)
         yield from self._events()
-        for name, said in self._videos.items():
+        for name, said in self._videos.items() if videos else ():
             yield from self._video(name, said)
         yield from _strays(self._folder / VIDEO, set(self._videos), VIDEO)
         genesis = None if self._header is None else self._header.session_sha256
