@@ -76,7 +76,7 @@ def read_digest(session: RecordedSession, progress: Callable[[int, int], None] =
         for item in session.index():
             digest.losses.take(item)
         return digest
-    steps = Steps(counts.began_ns, max(counts.began_ns, counts.ended_ns))
+    steps = Steps.of(counts.began_ns, counts.ended_ns, counts.frames)
     digest = Digest(
         counts,
         steps,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from service.report.markup import Html, element, facts, section, table
+from service.report.markup import Content, Html, element, facts, free, section, table
 from service.report.pictures import picture
 from service.report.wording import clock, figure, mark, offset
 
@@ -20,7 +20,8 @@ __all__ = ["evidence_section", "with_pictures"]
 
 MOST_PICTURES: Final = 60
 MOST_ROWS: Final = 1000
-HEAD: Final = ("no.", "UTC", "what", "claimed", "seen", "agree", "verdict", "offset", "tilt", "operator")
+HEAD: Final = ("no.", "UTC", "what", "claimed", "seen", "agree", "verdict", "offset, mm", "tilt, deg", "operator")
+FIELDS: Final = {"top": ", top field", "bottom": ", bottom field"}
 AGREES: Final = {True: "✔ yes", False: "✖ NO", None: "—"}
 
 
@@ -62,12 +63,12 @@ def _what(values: Mapping[str, Any]) -> str:
     return str(values["kind"]) if values["mark"] is None else f"{values['kind']}: {values['mark']}"
 
 
-def _row(number: int, v: Mapping[str, Any]) -> list[str]:
+def _row(number: int, v: Mapping[str, Any]) -> list[Content]:
     size = None if v["offset_mm"] is None else (v["offset_mm"][0] ** 2 + v["offset_mm"][1] ** 2) ** 0.5
     return [
-        str(number), clock(v["utc"]), _what(v), v["tube_claimed"] or "—", v["tube_seen"] or _place(v),
-        AGREES[v["agrees"]], mark(v["verdict"]), figure(size, v["offset_sigma_mm"], "mm"),
-        figure(v["tilt_deg"], v["tilt_sigma_deg"], "deg"), v["operator"] or "—",
+        str(number), clock(v["utc"]), free(_what(v)), free(v["tube_claimed"] or "—"), free(v["tube_seen"] or _place(v)),
+        AGREES[v["agrees"]], mark(v["verdict"]), figure(size, v["offset_sigma_mm"], ""),
+        figure(v["tilt_deg"], v["tilt_sigma_deg"], ""), free(v["operator"] or "—"),
     ]  # fmt: skip
 
 
@@ -100,13 +101,12 @@ def _card(session: RecordedSession, record: EvidenceRecord) -> Html:
             ("distance", figure(v["distance_mm"], v["distance_sigma_mm"], "mm", 1)),
             ("map", f"{known['name']}{approximate}" if known else None),
             ("calibration", _calibration(calibration)),
-            ("frame", f"{frame['sequence']} of {frame['source']}, {frame['field']}"),
-            ("picture's SHA-256", v["picture_sha256"]),
-            ("record's SHA-256", record.sha256),
+            ("frame", f"{frame['sequence']} of {frame['source']}{FIELDS.get(frame['field'], '')}"),
         ]
     )
     title = element("h3", f"{record.number}: {_what(v)}, {clock(v['utc'])}")
-    return element("article", title, element("div", picture(session, record), said, class_="card"))
+    hashes = element("p", f"picture {v['picture_sha256']}", element("br"), f"record {record.sha256}", class_="hash")
+    return element("article", title, element("div", picture(session, record), said, class_="card"), hashes)
 
 
 def _calibration(c: Mapping[str, Any]) -> str | None:

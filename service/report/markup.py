@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, TypeAlias
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-__all__ = ["Content", "Html", "element", "facts", "joined", "section", "table"]
+__all__ = ["Content", "Html", "element", "facts", "free", "joined", "section", "table"]
 
 VOID = ("br", "img", "meta")
+LONG_WORD = 24
 
 
 class Html(str):
@@ -53,6 +54,11 @@ def facts(pairs: Iterable[tuple[str, Content]]) -> Html:
         if value not in (None, "")
     ]
     return element("table", element("tbody", *rows), class_="facts")
+
+
+def free(text: str) -> Html:
+    """A text of somebody's own; only a word that is endless is broken."""
+    return element("span", text, class_="free" if max(map(len, text.split()), default=0) > LONG_WORD else None)
 
 
 def section(title: str, *content: Content, class_: str | None = None) -> Html:

@@ -74,7 +74,7 @@ def make_report(
     page = element(
         "body",
         _title(session, now_ns),
-        summary_section(session, digest, checked, len(alarms)),
+        summary_section(session, digest, checked, len(alarms), sum(r.values["agrees"] is False for r in records)),
         checked_section(checked, digest),
         section("Timeline", timeline(digest, bands, _moments(records, alarms)), class_="page"),
         alarms_section(alarms),
@@ -144,4 +144,4 @@ def _plans(digest: Digest, station: Station | None) -> Html:
         "Each time the source was reopened, counting of rows and columns began anew: such plans have nothing in common."
     )
     more = element("p", note) if len(digest.sheets) > 1 else None
-    return section("Tubesheet", more, *drawn, class_="page")
+    return section("Tubesheet", more, *drawn)

@@ -8,7 +8,7 @@ from drivers.errors import ConfigError
 from service.config.cameras import read_camera
 from service.report.digest import VERDICTS
 from service.report.losses import MOST_LOSSES
-from service.report.markup import Html, element, facts, section, table
+from service.report.markup import Html, element, facts, free, section, table
 from service.report.wording import clock, duration, figure, lasting, mark, plain, share, utc
 from service.sinks.session.places import CONFIG
 
@@ -32,7 +32,7 @@ QUIET: Final = ("tubes", "alarm")
 """Kinds of events that stand elsewhere in the report."""
 
 
-def summary_section(session: RecordedSession, digest: Digest, checked: Checked, alarms: int) -> Html:
+def summary_section(session: RecordedSession, digest: Digest, checked: Checked, alarms: int, contradicted: int) -> Html:
     """Say what it comes to."""
     c, about = digest.counts, session.about
     pictures, judged = digest.locks.total(), digest.verdicts.total()
@@ -52,6 +52,7 @@ def summary_section(session: RecordedSession, digest: Digest, checked: Checked, 
         *[(mark(v), share(digest.verdicts[v], judged)) for v in VERDICTS if judged],
         ("tubes the guide stood before", f"{visited:,}"),
         ("alarms", f"{alarms:,}"),
+        ("claims that the picture contradicts", f"{contradicted:,}"),
         ("evidence", checked.chain),
     ]
     return section("Summary", facts(rows), _notes(session, digest))
@@ -77,7 +78,7 @@ def tubes_section(digest: Digest) -> Html:
         return section("Tubes", element("p", "The guide stood before no tube that is known."))
     rows = [
         (
-            visit.tube, clock(visit.first_ns), clock(visit.last_ns), f"{visit.verdicts.total():,}",
+            free(visit.tube), clock(visit.first_ns), clock(visit.last_ns), f"{visit.verdicts.total():,}",
             figure(visit.best_mm, visit.best_sigma_mm, "mm"),
             "; ".join(f"{mark(v)} {visit.verdicts[v]:,}" for v in VERDICTS if visit.verdicts[v]),
         )
@@ -95,11 +96,11 @@ def alarms_section(alarms: Sequence[RecordedAlarm]) -> Html:
         return section("Alarms", element("p", text))
     rows = [
         (
-            "FIRST" if a.first else "", "before" if a.raised_utc is None else clock(a.raised_utc), a.reason,
+            "FIRST" if a.first else "", "before" if a.raised_utc is None else clock(a.raised_utc), free(a.reason),
             "" if a.value is None else f"{a.value:.3g} {a.unit}".strip(),
             "" if a.limit is None else f"{a.limit:.3g} {a.unit}".strip(),
             f"{a.times:,}", clock(a.cleared_utc) if a.cleared_utc else "not until the end",
-            f"{clock(a.acknowledged_utc)} {a.by}".strip() if a.acknowledged_utc else "NEVER",
+            free(f"{clock(a.acknowledged_utc)} {a.by}") if a.acknowledged_utc else "NEVER",
         )
         for a in alarms
     ]  # fmt: skip
@@ -116,7 +117,12 @@ def events_section(events: Iterable[Mapping[str, Any]]) -> Html:
         grave = [event for event in kept if event.get("level") != "INFO"][:MOST_EVENTS]
         shown = grave or kept[:MOST_EVENTS]
     rows = [
-        (clock(str(e.get("utc", ""))), str(e.get("level", "")), str(e.get("kind", "")), str(e.get("text", "")))
+        (
+            clock(str(e.get("utc", ""))),
+            str(e.get("level", "")),
+            free(str(e.get("kind", ""))),
+            free(str(e.get("text", ""))),
+        )
         for e in shown
     ]
     more = f"{len(kept) - len(shown):,} more stand in events.jsonl." if len(shown) < len(kept) else None

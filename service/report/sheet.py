@@ -9,7 +9,7 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-__all__ = ["MOST_TUBES", "Sheet", "Visit", "look"]
+__all__ = ["MOST_TUBES", "Sheet", "Tube", "Visit", "look"]
 
 MOST_TUBES: Final = 20_000
 Point: TypeAlias = tuple[float, float]
@@ -53,6 +53,19 @@ def _larger(sigmas: list[float] | float | None) -> float | None:
 
 
 @dataclass(slots=True)
+class Tube:
+    """What was seen of a tube: its name, and how often in which state."""
+
+    name: str | None = None
+    states: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def state(self) -> str:
+        """As most pictures have it; "predicted" where none showed it."""
+        return max(self.states, key=lambda state: self.states[state], default="predicted")
+
+
+@dataclass(slots=True)
 class Sheet:
     """The sheet as one count of tubes has it: reopening the source begins another.
 
@@ -61,7 +74,7 @@ class Sheet:
     generation
         The source's.
     tubes
-        State and name by lattice place (row, column); only what was measured has a state.
+        By lattice place (row, column).
     camera_mm, seen_mm, probe_mm
         By step of time, in the sheet's plane: foot of the perpendicular from the camera, where its axis meets the
         sheet, where the probe would hit.
@@ -72,7 +85,7 @@ class Sheet:
     """
 
     generation: int
-    tubes: dict[tuple[int, int], tuple[str, str | None]] = field(default_factory=dict)
+    tubes: dict[tuple[int, int], Tube] = field(default_factory=dict)
     camera_mm: dict[int, Point] = field(default_factory=dict)
     seen_mm: dict[int, Point] = field(default_factory=dict)
     probe_mm: dict[int, Point] = field(default_factory=dict)
@@ -98,20 +111,23 @@ class Sheet:
     def _tube(self, tube: Line) -> None:
         place = tube["row"], tube["column"]
         known = self.tubes.get(place)
-        if tube["origin"] == "measured":
-            self.tubes[place] = tube["state"], tube["name"]
-        elif known is None and len(self.tubes) < MOST_TUBES:
-            self.tubes[place] = "inferred", tube["name"]
+        if known is None:
+            if len(self.tubes) >= MOST_TUBES:
+                return
+            known = self.tubes[place] = Tube()
+        known.name = tube["name"] or known.name
+        if tube["state"] != "unknown" or tube["origin"] == "measured":
+            known.states[tube["state"]] += 1
 
     def _visit(self, wall_ns: int, alignment: Line) -> None:
         place = tuple(alignment["place"])
-        name = alignment["target"]
         visit = self.visits.get(place)
         if visit is None:
             if len(self.visits) >= MOST_TUBES:
                 return
-            visit = self.visits[place] = Visit(name, wall_ns, wall_ns)
-        visit.tube = self.tubes.get(place, ("", None))[1] or f"place {place[0]}, {place[1]}"
+            visit = self.visits[place] = Visit("", wall_ns, wall_ns)
+        known = self.tubes.get(place)
+        visit.tube = (known and known.name) or f"place {place[0]}, {place[1]}"
         visit.add(wall_ns, alignment)
 
 

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 __all__ = ["STEPS", "Envelope", "Presence", "Steps", "days"]
 
 STEPS: Final = 600
+FRAMES_A_STEP: Final = 4
+"""At least, in the mean: else what is drawn is the source's own pace."""
 JOINED_NS: Final = 1_000_000_000
 """Values at most this far apart are one line."""
 
@@ -36,12 +38,17 @@ class Steps:
 
     began_ns: int
     ended_ns: int
-    count: int = STEPS
+    count: int
 
     @property
     def width_ns(self) -> float:
         """How long one is; at least 1 us."""
         return max(1000.0, (self.ended_ns - self.began_ns) / self.count)
+
+    @classmethod
+    def of(cls, began_ns: int, ended_ns: int, frames: int) -> Steps:
+        """Divide a session's time."""
+        return cls(began_ns, max(began_ns, ended_ns), min(STEPS, max(1, frames // FRAMES_A_STEP)))
 
     def at(self, wall_ns: int) -> int:
         """Which one a time is in; the first or the last where it is outside."""

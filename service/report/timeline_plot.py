@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+from matplotlib.ticker import FuncFormatter
 
 from service.alignment.bands import Bands
 from service.report.figure import drawn
@@ -24,9 +25,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Moment", "timeline"]
 
-PANEL_IN: Final = 1.25
+PANEL_IN: Final = 1.08
 STRIP_IN: Final = 0.19
 HEADROOM: Final = 1.3
+FAR: Final = 4
+"""So many times a limit are beyond what one plain scale can show."""
 LOOKS: Final = {
     "good": ("0.75", None), "bad": ("0.2", None), "no frames": ("1.0", "xxxx"),
     "full": ("0.75", None), "partial": ("0.9", "////"), "none": ("0.2", None),
@@ -93,7 +96,7 @@ def _draw_figure(ax: Axes, digest: Digest, panel: _Panel) -> None:
     if panel.limits:
         at, _, _, one = sigma.lines()
         ax.plot(at, one, color="0.35", linewidth=0.8, linestyle=":", label="one sigma")
-        ax.set_ylim(0, _top(envelope.extremes[1], panel.limits))
+        _scale(ax, envelope.extremes[1], panel.limits[-1])
     for limit, style in zip(panel.limits, ("-", "--"), strict=False):
         ax.axhline(limit, color="black", linewidth=0.6, linestyle=style)
         ax.annotate(
@@ -107,9 +110,12 @@ def _draw_figure(ax: Axes, digest: Digest, panel: _Panel) -> None:
     ax.set_title(panel.title)
 
 
-def _top(highest: float, limits: Sequence[float]) -> float:
-    """Top of a panel: high enough for its limits, and for all there is."""
-    return HEADROOM * max(highest, *limits)
+def _scale(ax: Axes, highest: float, limit: float) -> None:
+    """Have the limits seen, however far beyond them the values are."""
+    if highest > FAR * limit:
+        ax.set_yscale("symlog", linthresh=2 * limit, linscale=1.5)
+        ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    ax.set_ylim(0, HEADROOM * max(highest, limit))
 
 
 def _draw_strip(ax: Axes, title: str, presence: Presence) -> None:
@@ -127,12 +133,13 @@ def _draw_strip(ax: Axes, title: str, presence: Presence) -> None:
 def _finish(axes: Sequence[Axes], digest: Digest, moments: Sequence[Moment]) -> None:
     steps = digest.steps
     assert steps is not None, "there are frames"
+    axes[0].set_title(axes[0].get_title(loc="left"), pad=10)  # above the signs
     first, last = days(steps.began_ns), days(steps.ended_ns)
     for moment in moments:
         day, alarm = min(max(moment.day, first), last), moment.sign == "A"
         for ax in axes:
             ax.axvline(day, color="0.4", linewidth=0.6, linestyle=(0, (1, 2)) if alarm else (0, (4, 2)))
-        at = (day, -0.08 if alarm else 1.03)
+        at = (day, 1.04)
         text = axes[0].annotate(moment.sign, at, xycoords=("data", "axes fraction"), ha="center", fontsize=6)
         text.set_annotation_clip(False)
         text.set_in_layout(False)
@@ -147,7 +154,10 @@ def _caption(digest: Digest) -> str:
     assert digest.steps is not None, "there are frames"
     step = digest.steps.width_ns / 1e9
     limits = (
-        " Whole and broken lines across: limits, normal and advisory. Dotted: one sigma." if digest.verdicts else ""
+        " Whole and broken lines across: limits, normal and advisory; far beyond them the scale is logarithmic."
+        " Dotted: one sigma."
+        if digest.verdicts
+        else ""
     )
     return (
         f"Each step is {step:.2g} s: black its mean, grey from its lowest to its highest value; a gap is a time"

@@ -17,14 +17,15 @@ LONG_S = 3600
 
 def mark(verdict: str | None) -> str:
     """A verdict with its sign."""
-    return "—" if verdict is None else f"{MARKS.get(verdict, '')} {verdict}".strip()
+    return "—" if verdict is None else f"{MARKS.get(verdict, '')}\N{NO-BREAK SPACE}{verdict}".strip()
 
 
 def figure(value: float | None, sigma: float | None, unit: str, digits: int = 2) -> str:
     """A value with unit and sigma; a dash where there is none."""
     if value is None:
         return "—"
-    return f"{value:.{digits}f} ± {sigma:.{digits}f} {unit}" if sigma is not None else f"{value:.{digits}f} {unit}"
+    plus = "" if sigma is None else f"\N{NO-BREAK SPACE}±\N{NO-BREAK SPACE}{sigma:.{digits}f}"
+    return f"{value:.{digits}f}{plus}\N{NO-BREAK SPACE}{unit}".strip()
 
 
 def offset(values: Sequence[float] | None, sigma: float | None) -> str:
