@@ -36,7 +36,7 @@ __all__ = ["Seen", "Tracker"]
 
 START_WIDTH = 0.2
 """Width of the edge that is looked for about a rough pose, in rim radii."""
-ACQUIRE_PASSES = 5
+ACQUIRE_PASSES = 7
 TRACK_PASSES = 3
 TRIES = 3
 """Candidates that are refined before a picture is given up."""
@@ -171,7 +171,7 @@ class Tracker:
             wide = start_profile(START_WIDTH * self._radius_px)
             watch.lap("detect")
             refined = refine(
-                image, start, self.lattice, prior, rotation, shifted, wide, passes=ACQUIRE_PASSES - 1, watch=watch,
+                image, start, self.lattice, prior, rotation, shifted, wide, passes=ACQUIRE_PASSES, watch=watch,
                 parity=parity,
             )  # fmt: skip
         if refined is None or not self._holds(refined):
