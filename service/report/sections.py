@@ -6,11 +6,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from drivers.errors import ConfigError
 from service.config.cameras import read_camera
+from service.config.table import read_toml
 from service.report.digest import VERDICTS
 from service.report.losses import MOST_LOSSES
 from service.report.markup import Html, element, facts, free, section, table
 from service.report.wording import clock, duration, figure, lasting, mark, plain, share, utc
+from service.sinks.evidence_record import CalibrationUsed
 from service.sinks.session.places import CONFIG
+from service.vision.camera import OpenCVLens, TsaiLens
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
     from service.report.digest import Digest
     from service.report.findings import Checked
     from service.sinks.session.reader import RecordedSession
+    from service.vision.camera import Camera
 
 __all__ = [
     "alarms_section", "configuration_section", "device_section", "events_section", "losses_section", "summary_section",
@@ -178,23 +182,36 @@ def _calibration(session: RecordedSession) -> Html:
     if name is None:
         return element("p", "Without a camera file: all but the pixels was estimated, frame by frame.")
     try:
-        camera = read_camera(session.folder / CONFIG / name)
+        camera, told = read_camera(session.folder / CONFIG / name), read_toml(session.folder / CONFIG / name)
     except ConfigError as error:
         return element("p", f"✖ {error}", class_="missing")
-    rows = [
-        ("camera", camera.name),
-        ("file", f"{name}, SHA-256 {session.about.files[name]}"),
-        ("picture", plain(list(camera.image_size_px)) + " px"),
-        ("focal length", figure(camera.focal_length_mm, camera.sigma("focal_length_mm") or None, "mm", 3)),
-        (
-            "principal point",
-            None
-            if camera.principal_point_px is None
-            else plain([round(v, 2) for v in camera.principal_point_px]) + " px",
-        ),
-        ("lens", str(camera.lens or "estimated")),
-    ]
-    return facts(rows)
+    used = CalibrationUsed(calibrated_utc=told.text("calibrated_utc", None)).at(session.started_ns)
+    x, y = camera.principal_point_px or camera.middle_px
+    sigmas = ", ".join(f"{p} {camera.sigma(p):.3g}" for p in camera.parameters)
+    return facts(
+        [
+            ("camera", camera.name),
+            ("file", f"{name}, SHA-256 {session.about.files[name]}"),
+            ("calibrated", told.text("calibrated_utc", None)),
+            ("age", figure(used["age_days"], None, "days", 1)),
+            ("residual", figure(told.number("reprojection_error_px", None), None, "px", 3)),
+            ("picture", plain(list(camera.image_size_px)) + " px"),
+            ("focal length", figure(camera.focal_length_mm, camera.sigma("focal_length_mm") or None, "mm", 3)),
+            ("principal point", f"{x:.2f}, {y:.2f} px" if camera.principal_point_px else "estimated"),
+            ("lens", _lens(camera)),
+            ("sigmas", sigmas or "none: what is given counts as exact"),
+        ]
+    )
+
+
+def _lens(camera: Camera) -> str:
+    match camera.lens:
+        case TsaiLens(kappa1_per_mm2=kappa1):
+            return f"kappa1 {kappa1:.6g} per mm²"
+        case OpenCVLens(coefficients=coefficients):
+            return f"k1, k2, p1, p2, k3: {', '.join(f'{c:.6g}' for c in coefficients)}"
+        case None:
+            return "estimated"
 
 
 def configuration_section(session: RecordedSession) -> Html:
