@@ -159,7 +159,6 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
             console.announce()
         began_s = time.monotonic()
         with reporting.running(service.health):
-            service.begin()
             ended_by = _follow(service, reporting, recorder, args.seconds or math.inf)
         tell(ended_by, "INFO" if service.failure is None else "ERROR")
         if live.instruments is not None:
@@ -207,9 +206,10 @@ def prepare_kernels() -> None:
 
 
 def _follow(service: LiveService, reporting: Reporting, recorder: SessionRecorder | None, seconds: float) -> str:
-    """Show the status, and serve keys, until it is over; in a word, why it is."""
+    """Begin, show the status, and serve keys, until it is over; in a word, why it is."""
     status, end_s = StatusLine(), time.monotonic() + seconds
     try:
+        service.begin()
         with pressed_keys() as keys:
             if keys is not None and recorder is not None:
                 print(KEYS, flush=True)
