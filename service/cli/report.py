@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -31,6 +32,7 @@ def run(args: argparse.Namespace) -> int:
             f"{out}: is in the session's own folder, where nothing is to be changed; choose another place"
         )
     check_outputs([out], [])
+    logging.getLogger("matplotlib").addHandler(logging.NullHandler())  # where it keeps its fonts concerns nobody
     # plots take half a second to import: only where they are made
     from service.report.page import make_report  # noqa: PLC0415
 
