@@ -65,12 +65,16 @@ class TubesheetMap:
         """Whether there is such a tube, as far as this map knows."""
         return bool(self.tubes(np.array([name.row]), np.array([name.column]))[0])
 
-    def tubes(self, rows: NDArray[np.int_], columns: NDArray[np.int_]) -> NDArray[np.bool_]:
-        """Whether there are such tubes, by the plant's numbers."""
+    def places_mm(self, rows: NDArray[np.int_], columns: NDArray[np.int_]) -> NDArray[np.float64]:
+        """Where the plant's numbers are, (..., 2): x along columns from the middle, y from the divider's middle."""
         across, up = STEPS[self.arrangement]
         x = (columns - (self.columns + 1) / 2) * across * self.pitch_mm
         y = self.first_row_mm + (rows - 1) * up * self.pitch_mm
-        r = np.hypot(x, y)
+        return np.stack(np.broadcast_arrays(x, y), axis=-1)
+
+    def tubes(self, rows: NDArray[np.int_], columns: NDArray[np.int_]) -> NDArray[np.bool_]:
+        """Whether there are such tubes, by the plant's numbers."""
+        r = np.hypot(*np.moveaxis(self.places_mm(rows, columns), -1, 0))
         counted = (rows >= 1) & (rows <= self.rows) & (columns >= 1) & (columns <= self.columns)
         if self.arrangement is Arrangement.TRIANGULAR:
             counted = counted & ((rows + columns) % 2 == 0)

@@ -19,6 +19,8 @@ __all__ = ["WIDTH_IN", "drawn"]
 
 WIDTH_IN: Final = 7.1
 """Between the margins of an A4 page."""
+RASTER_DPI: Final = 200
+"""Of what is drawn as a picture because it is too much for lines."""
 STYLE: Final[dict[Any, Any]] = {
     "svg.fonttype": "none",  # texts stay texts: to be searched, and in whatever font the reader has
     "svg.hashsalt": "bowlsight",
@@ -42,7 +44,7 @@ NOTHING: Final = {"Date": None, "Creator": None, "Format": None, "Type": None}
 def drawn(name: str, caption: str, height_in: float, draw: Callable[[Figure], None]) -> Html:
     """Make a figure of the page; `name` keeps its parts apart from those of other figures."""
     with mpl.rc_context(STYLE):
-        figure = Figure((WIDTH_IN, height_in), layout="constrained")
+        figure = Figure((WIDTH_IN, height_in), dpi=RASTER_DPI, layout="constrained")
         draw(figure)
         out = io.StringIO()
         FigureCanvasSVG(figure).print_svg(out, metadata=NOTHING)  # type: ignore[no-untyped-call]

@@ -12,6 +12,7 @@ from service.report.alarms import recorded_alarms
 from service.report.digest import read_digest
 from service.report.evidence import evidence_section
 from service.report.findings import check, checked_section
+from service.report.map_plot import overview
 from service.report.markup import Html, element, section
 from service.report.plan_plot import plan
 from service.report.sections import (
@@ -139,7 +140,10 @@ def _plans(digest: Digest, station: Station | None) -> Html:
     if station is None or not digest.sheets:
         return section("Tubesheet", element("p", "There is no picture with a pose and a sound configuration: no plan."))
     most = sorted(digest.sheets.values(), key=lambda sheet: -sheet.pictures)[:MOST_SHEETS]
-    drawn = [plan(sheet, station.generator.lattice) for sheet in sorted(most, key=lambda sheet: sheet.generation)]
+    rule = station.identity.rule(station.generator)
+    drawn: list[Html | None] = []
+    for sheet in sorted(most, key=lambda sheet: sheet.generation):
+        drawn += [plan(sheet, station.generator.lattice), overview(sheet, rule)]
     note = (
         "Each time the source was reopened, counting of rows and columns began anew: such plans have nothing in common."
     )
