@@ -41,16 +41,18 @@ def evidence_section(
     checked: Checked,
     progress: Callable[[int, int], None],
 ) -> Html:
-    """Show them."""
+    """Show them; `records` need not have their results."""
     chain = element(
         "p", "Chain of evidence: ", element("strong", checked.chain), class_="alert" if checked.broken else None
     )
     if not records:
         return section("Verifications", chain)
-    chosen, cards = with_pictures(records), []
-    for done, record in enumerate(chosen, 1):
-        cards.append(_card(session, record))
-        progress(done, len(chosen))
+    chosen = {record.number for record in with_pictures(records)}
+    cards = []
+    for record in session.evidence():
+        if record.number in chosen:
+            cards.append(_card(session, record))
+            progress(len(cards), len(chosen))
     last = element("p", f"Last hash, for somebody else to keep: {records[-1].sha256}", class_="hash")
     left_out = None
     if len(records) > min(MOST_ROWS, len(chosen)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import datetime
 from importlib.resources import files
 from typing import TYPE_CHECKING, Final
@@ -113,9 +114,9 @@ def _title(session: RecordedSession, now_ns: int) -> Html:
 
 
 def _records(session: RecordedSession) -> list[EvidenceRecord]:
-    """The evidence that is sound; what is not, the check tells."""
+    """The evidence that is sound, without what was measured: there may be many. What is not sound, the check tells."""
     try:
-        return list(session.evidence())
+        return [replace(r, values={k: v for k, v in r.values.items() if k != "result"}) for r in session.evidence()]
     except OSError:
         return []
 

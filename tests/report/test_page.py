@@ -6,7 +6,9 @@ from html.parser import HTMLParser
 
 import pytest
 
+from service.report.evidence import with_pictures
 from service.report.page import make_report
+from service.sinks.evidence import EvidenceRecord
 from service.sinks.session.reader import open_session
 from tests.sinks.session.recorded import Recording, frame, record, record_with_evidence, wait_for
 
@@ -175,3 +177,16 @@ def test_what_was_lost_is_told_with_its_time(tmp_path):
     assert value(said, "frames that the source counted and that never came") == 3
     assert value(said, "bad frames: truncated") == 1
     assert value(said, "frames lost") == 3
+
+
+def test_of_many_verifications_those_that_contradict_are_shown():
+    def made(number, kind="verify", agrees=None, reason=None):
+        return EvidenceRecord(number, {"kind": kind, "agrees": agrees, "reason": reason}, "")
+
+    records = [made(k, "periodic") for k in range(200)]
+    records += [made(200 + k, agrees=True) for k in range(50)]
+    records += [made(250, agrees=False), made(251, agrees=True, reason="bent"), made(252, "periodic", agrees=False)]
+    chosen = [record.number for record in with_pictures(records)]
+    assert len(chosen) == 60
+    assert chosen == sorted(chosen)
+    assert {*range(200, 253)} <= {*chosen}
