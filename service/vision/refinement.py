@@ -34,8 +34,9 @@ LEAST_STRENGTH = 3.0
 LEAST_RAYS = 0.4
 LEAST_TUBES = 6
 """Fewer measured tubes do not make a pose worth telling."""
-SETTLED = 0.05
-"""Edge widths that the tubes may lie off, in the middle of them all, for a pass to be the last."""
+SETTLED, STILL_SETTLED = 0.05, 0.15
+"""Edge widths that the tubes may lie off, in the middle of them all, for a pass to be the last; and where the profile
+is known from the picture before, so that a shift is all that there is to find."""
 STEADY_WIDTH = 0.93
 """Least part of a profile's width that the next one may have, for a pass to be the last."""
 NARROWING = 0.36
@@ -134,7 +135,8 @@ def refine(
         as_before = before is not None and not afresh
         narrow = profile if as_before else _narrowed(rims.profile(), profile)
         moved = max(abs(median_of(rims.shift_px[used, 0])), abs(median_of(rims.shift_px[used, 1])))
-        steady = moved < SETTLED * profile.width_px and narrow.width_px > profile.width_px * STEADY_WIDTH
+        settled = SETTLED if before is None else STILL_SETTLED
+        steady = moved < settled * profile.width_px and narrow.width_px > profile.width_px * STEADY_WIDTH
         if step == passes - 1 or steady:
             refined = _solved(
                 *looked, narrow, image.shape, camera, lattice, prior, rotation, translation_mm, before, afresh, parity
