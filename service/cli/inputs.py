@@ -60,8 +60,8 @@ def fitting_camera(camera: Camera | None, picture_format: FrameFormat, source: s
     if camera is None:
         camera = assumed_camera(size)
         if not quiet:
-            dx, dy = camera.pixel_pitch_mm
-            say(f"no camera file: pixels of {dx:.5f} x {dy:.5f} mm assumed ({camera.name}), all else estimated")
+            dx, dy = (1e3 * side for side in camera.pixel_pitch_mm)
+            say(f"no camera file: pixels of {dx:.5g} x {dy:.5g} um assumed ({camera.name}), all else estimated")
     elif camera.image_size_px != size:
         (w, h), (cw, ch) = size, camera.image_size_px
         raise ConfigError(

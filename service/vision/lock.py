@@ -95,6 +95,8 @@ def prove(image: Image, refined: Refined, lattice: Lattice, blobs: Blobs) -> Pro
 def _strangers(refined: Refined, lattice: Lattice, blobs: Blobs) -> float:
     """Share of the dark blobs that stand on no lattice place; 0 where no blob shows how dark tubes are."""
     pitch_px = lattice.pitch_mm * np.median(np.linalg.norm(refined.place[:, :, :2], axis=2), axis=0)
+    if not pitch_px.all():  # most places lie behind the camera
+        return 1.0
     aside = np.linalg.norm((blobs.center_px[:, None] - refined.predicted_px[None]) / pitch_px, axis=2)
     tubes = (aside[:, refined.used] < ASIDE).any(axis=1)
     if not tubes.any():

@@ -198,6 +198,16 @@ def _weigh(m2: Array, scale: float, weight: Array) -> float:
 
 
 @compiled
+def _most_have_an_image(px: Array) -> bool:
+    """Whether a step may be judged by its cost: with all points behind the camera that is a finite one."""
+    seen = 0
+    for i in range(px.shape[0]):
+        if not math.isnan(px[i, 0]):
+            seen += 1
+    return 2 * seen > px.shape[0]
+
+
+@compiled
 def _scale_of(m2: Array) -> float:
     """Robust variance of unit weight; 1.386 is the median of chi-square with two degrees of freedom."""
     return max(median_of(m2) / 1.386, 0.25)
@@ -275,7 +285,7 @@ def _gauss_newton(
             linearise(v, trial[0], trial[1], Q, tn, turned_pivot, sheet_mm, columns, px, J, place)
             _distances(z, cov, px, place, scatter2, height2, m2, info)
             new = _weigh(m2, scale, weight) + _prior_cost(trial, free, prior_info, prior_mean)
-            if new <= cost * (1.0 + 1e-9):
+            if new <= cost * (1.0 + 1e-9) and _most_have_an_image(px):
                 better = True
                 break
             damping = max(10.0 * damping, 1e-4)

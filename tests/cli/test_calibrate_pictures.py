@@ -124,7 +124,7 @@ def test_without_a_camera_file_the_sensor_is_assumed_and_that_is_said(installati
     out = tmp_path / "camera.toml"
     folder = str(installation[0])
     assert main(["calibrate", folder, "--generator", "system80", "--out", str(out), "--json", str(tmp_path / "j")]) == 0
-    assert "mm assumed" in capsys.readouterr().err
+    assert "um assumed" in capsys.readouterr().err
     assert "sx" in read_camera(out).parameters
     assert json.loads((tmp_path / "j").read_text())["frames"] == len(TILTS)
 

@@ -1,0 +1,30 @@
+import numpy as np
+
+from service.vision.camera import Camera, TsaiLens
+from service.vision.lattice import Arrangement, Lattice
+from service.vision.pose import fit_pose, prior_of
+from service.vision.projection import project
+
+LATTICE = Lattice(Arrangement.TRIANGULAR, 25.4, 8.46, 9.53, scatter_mm=0.05)
+UNKNOWN = Camera((640, 240), (0.005625, 0.01125))
+SHEET = np.array([
+    [495.3, -2001.7], [635.0, -1935.7], [342.9, -1561.8], [406.4, -1539.8],
+    [152.4, -1407.8], [482.6, -1363.8], [241.3, -1341.8], [101.6, -1231.8],
+])  # fmt: skip
+ROTATION = np.array([[0.95908, 0.14919, -0.24063], [-0.15762, 0.98737, -0.01610], [0.23519, 0.05337, 0.97048]])
+T = np.array([-80.5, 53.9, 359.9])
+
+
+def test_a_solution_never_steps_behind_the_camera():
+    """With everything behind it, all centres are set aside, which cost less than the odd camera that it began with."""
+    began = Camera(
+        (640, 240), (0.005625, 0.01125), 1.512, TsaiLens(0.00382), (496.9, 630.3), 1.0,
+    )  # fmt: skip
+    seen = project(began.vector(), ROTATION, T, SHEET)
+    assert np.isfinite(seen).all()
+    covariance = np.tile([1.0, 0.15, 0.25], (len(SHEET), 1))
+    for seed in range(30):
+        away = np.random.default_rng(seed).normal(0, 0.4, seen.shape)
+        fit = fit_pose(SHEET, seen + away, covariance, began, ROTATION, T, LATTICE, prior_of(UNKNOWN, 1.84))
+        assert np.isfinite(fit.covariance).all()
+        assert np.isfinite(fit.residual_px).all(axis=1).sum() > len(SHEET) / 2
