@@ -73,7 +73,7 @@ def _pose(refined: Refined, lattice: Lattice, camera: Camera, parity: int | None
             tz_mm=math.hypot(out[0], pitch),
             distance_mm=math.hypot(out[1], pitch),
             tilt_deg=math.degrees(out[2]),
-            lateral_mm=math.hypot(out[3], tube_sigma_mm),
+            lateral_mm=max(float(out[3]), tube_sigma_mm),  # a tube's own sigma holds the pose's
             focal_length_mm=0.0 if k is None else math.sqrt(float(fit.covariance[k, k])),
         ),
         reprojection_error_px=math.sqrt(float(np.mean(residual**2))) if residual.size else 0.0,

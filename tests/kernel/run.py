@@ -18,7 +18,7 @@ from service.demo import demo_video
 from tests.kernel.vm import UnavailableError, boot
 
 HERE = Path(__file__).parent
-GUEST_S, HOST_S = 330, 120
+GUEST_S, HOST_S = 900, 240
 PICTURES = 10
 PYTEST = ["-m", "pytest", "-p", "no:cacheprovider", "--color=no", "--tb=short", "-v", "--durations=12"]
 
