@@ -204,7 +204,7 @@ def _most_have_an_image(px: Array) -> bool:
     for i in range(px.shape[0]):
         if not math.isnan(px[i, 0]):
             seen += 1
-    return 2 * seen > px.shape[0]
+    return bool(2 * seen > px.shape[0])
 
 
 @compiled
