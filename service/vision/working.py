@@ -97,8 +97,10 @@ class WorkingCamera:
     def _fit(self, refined: Refined, camera: Camera, prior: Prior) -> Fit:
         fit, used = refined.fit, refined.used
         nearer = (camera.focal_length_mm or 1.0) / (fit.camera.focal_length_mm or 1.0)
+        # of what is seen: the lattice's origin may be far aside, and behind the camera
+        closer_mm = (nearer - 1.0) * fit.pivot_mm * [0.0, 0.0, 1.0]
         return fit_pose(
             refined.sites.sheet_mm[used], refined.rims.center_px[used], refined.rims.covariance_px[used],
             camera if refined.parity is None else camera.of_field(refined.parity), fit.rotation,
-            fit.translation_mm * [1.0, 1.0, nearer], self.lattice, prior,
+            fit.translation_mm + closer_mm, self.lattice, prior,
         )  # fmt: skip

@@ -62,6 +62,21 @@ def test_a_badly_known_focal_length_does_not_make_the_sheet_wander():
     assert working.pose(refined).camera.focal_length_mm == 1.1 * f
 
 
+def test_however_far_aside_the_lattice_begins_a_picture_is_solved_for_alike():
+    v, refined = seen(6.0)
+    known = camera_of(v.optics)
+    f = known.focal_length_mm
+    known = replace(
+        known, focal_length_mm=1.3 * f, parameters=("focal_length_mm",), covariance=np.array([[(0.3 * f) ** 2]])
+    )
+    working = WorkingCamera.of(known, v.lattice)
+    near = working.pose(refined)
+    for row, column in ((1000, 0), (-1000, 0), (0, 1000), (0, -1000)):
+        far = working.pose(refined.shifted(row, column, v.lattice))
+        assert far.pivot_mm == pytest.approx(near.pivot_mm, rel=1e-3)
+        assert far.scatter_factor == pytest.approx(near.scatter_factor, rel=1e-2)
+
+
 def test_the_index_holds_while_a_camera_that_nobody_knows_pans_and_tilts():
     tubes = view("system80", LOOK).sheet.lattice
     sheet = sheet_of(tubes, LOOK, seed=5)
