@@ -43,7 +43,7 @@ class TubeNamer:
         self._asked: tuple[tuple[Anchor, ...], int | None] | None = (tuple(anchors), None) if anchors else None
 
     def anchor(self, anchors: Sequence[Anchor], generation: int) -> None:
-        """Take these for the anchors from the next picture on; from any thread.
+        """Take these for the anchors from the next picture on, unless its index is in doubt; from any thread.
 
         Parameters
         ----------
@@ -57,7 +57,10 @@ class TubeNamer:
         self.taken = None
         if self.named is not None and self.named.generation != generation:
             self._fail(f"anchor {self.named.anchors[0]} is dropped: the source was reopened, and counting began anew")
-        if measurement.pose is None or Doubt.INDEX in measurement.doubt:
+        if measurement.pose is None:
+            return None
+        if Doubt.INDEX in measurement.doubt:
+            self._turn_away()
             return None
         asked, self._asked = self._asked, None
         if asked is not None:
@@ -68,6 +71,17 @@ class TubeNamer:
             else:
                 self._settle(anchors, measurement, generation)
         return self.named
+
+    def _turn_away(self) -> None:
+        """Take no anchor while the index is in doubt: once that is mended, its place is another tube's."""
+        if self._asked is None or self._asked[1] is None:  # from the start: none was read from a picture
+            return
+        (anchors, _), self._asked = self._asked, None
+        self.problem = (
+            f"anchor {anchors[0]} is not taken: the lattice index is in doubt; move back to where it was not, or start "
+            "the service anew, and anchor again"
+        )
+        log.warning("%s", self.problem)
 
     def _settle(self, anchors: tuple[Anchor, ...], measurement: Measurement, generation: int) -> None:
         assert measurement.pose is not None, "only a pose tells how the sheet lies"

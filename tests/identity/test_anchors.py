@@ -228,3 +228,14 @@ class TestTubeNamer:
         namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6")), Anchor(0, 1, namer.rule.parse("R9C9"))], 1)
         assert namer.update(make_measurement(), 1) is None
         assert "no way to count" in namer.problem
+
+    def test_an_anchor_read_while_the_index_is_in_doubt_is_not_taken_and_says_so(self):
+        namer = self.namer((0, "R30C60"))
+        named = namer.update(make_measurement(), 1)
+        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6"))], 1)
+        assert namer.update(make_measurement(Lock.PARTIAL, doubt=(Doubt.INDEX,)), 1) is None
+        assert "ROW5 COL6 is not taken: the lattice index is in doubt" in namer.problem
+        assert namer.update(make_measurement(), 1) is named  # the slip was mended: what was anchored before holds
+        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6"))], 1)
+        assert str(namer.update(make_measurement(), 1).name_of(0, 0)) == "ROW5 COL6"
+        assert namer.problem is None
