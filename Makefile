@@ -5,6 +5,7 @@
 # make test-wheel   install the wheel as a user does and run every command, from another folder
 # make faults   a million frames from a device that goes wrong all the time, each accounted for (FRAMES=1000000)
 # make soak     the live service for minutes: its memory, files and threads must not grow (MINUTES=3)
+# make tamper   a thousand single bytes of a recorded session changed, one at a time: verify must find each
 # make figures  how soon frames, failures and stops are served on this machine; best run on an idle one
 # make install  the set-up alone
 
@@ -14,7 +15,7 @@ BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
 PEERS  := $(VENV)/peers
 
-.PHONY: run test test-kernel faults soak figures test-wheel install check pytest bench clean
+.PHONY: run test test-kernel faults soak tamper figures test-wheel install check pytest bench clean
 
 run: install
 	@$(BIN)/bowlsight demo
@@ -60,6 +61,9 @@ faults: install
 
 soak: install
 	$(BIN)/python -m tests.bench.soak $(MINUTES)
+
+tamper: install
+	$(BIN)/python -m tests.sinks.session.tamper
 
 figures: install
 	$(BIN)/python -m tests.bench.capture
