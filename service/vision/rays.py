@@ -27,7 +27,7 @@ NODE_WAVES = np.column_stack([np.ones(NODES), np.cos(_ANGLE), np.sin(_ANGLE), np
 RAY_SPACING_PX, FEWEST_RAYS, MOST_RAYS = 2.8, 16, 24
 """Rays stand this far apart on the rim, as neighbours would see the same pixels; more of them gain little."""
 BASIS = 5
-"""Shapes that a ray's grey values are made of, see `rims`."""
+"""Shapes that a ray's grey values are made of, see `shapes`."""
 ENERGY, BORE, OUTSIDE, NOISE, NUMBERS = 5, 6, 7, 8, 9
 """What a ray is condensed to: its samples with each shape; with themselves; levels inside and outside; a second
 difference in the bore, which only noise makes."""

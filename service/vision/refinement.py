@@ -1,4 +1,4 @@
-"""From a rough pose to the measured one: rims, robust solution, and what the picture's light shifts in common."""
+"""From a rough pose to the measured one: rims, robust solution, and what the picture's light may shift in common."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Refined:
     predicted_px, place
         (n, 2) and (n, 2, 3): projection under `fit`, and its derivative by the tube's own place, px per mm.
     common
-        How edges look here, what the light shifts in common, what is smooth in the residuals.
+        How edges look here, what the light may shift in common, what is smooth in the residuals.
     state
         (n,) uint8 of `TubeState`.
     shape
@@ -170,7 +170,7 @@ def _solved(
     lattice: Lattice, prior: Prior, rotation: Array, translation_mm: Array, before: Common | None, afresh: bool,
     parity: int | None,
 ) -> Refined:  # fmt: skip
-    """The last solution: without what the edges have in common, and with what is not known of it in its covariance."""
+    """The last solution, with what no residual shows of light and lens in its covariance."""
     fit = fit_pose(
         sites.sheet_mm[used], rims.center_px[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice,
         prior,

@@ -4,12 +4,12 @@ A tube end is a circle in the sheet. Its picture under a known pose is sampled a
 circle*, so there is no ellipse-centre bias; what is left to find is how far the true rim lies from the predicted one:
 a shift ``(dx, dy)`` of the tube and, as a nuisance, a change ``dr`` of the apparent radius (weld ring, blur).
 
-All grey values along a tube's rays are explained at once, by four shapes: a level, the picture's own mean edge profile
-`T`, what begins beyond the tube's wall `C`, and ``-T'``, which is a shift. Each shape's share changes around the rim as
+All grey values along a tube's rays are explained at once, by the five `shapes`: a level, the picture's own mean edge
+profile, what begins beyond the tube's wall, the seam there, and a shift. Each shape's share changes around the rim as
 ``a + b cos + c sin``: light falls unevenly on bore, tube end and plate, each in its own way, and what is not allowed to
 is taken for a shift. The shift's own three are dr, dx and dy. How far the shares stray, around the rim and from ray to
 ray, is known beforehand, which makes the solution a linear one with a covariance; rays that do not fit are then
-weighed down (hose, glint, speck) and it is solved once more.
+weighed down (hose, glint, speck) and it is solved again.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.compiled import clipped_mean, compiled, median_in_place
-from service.vision.edges import GRID, SAMPLES, profile_of
+from service.vision.edges import SAMPLES, profile_of
 from service.vision.light import SLOPE_REACH, light_slopes
 from service.vision.rays import BASIS, BORE, ENERGY, NOISE, NUMBERS, OUTSIDE, circle_of, rays_for, sample_rays
+from service.vision.shapes import shapes_of
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -36,21 +37,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Rims", "measure_rims"]
 
-STRAY = np.array([0.05, 0.12, 0.25, 0.15, 0.04])
-"""How far each shape strays from ray to ray: level, edge, what lies beyond the wall, as parts of the edge's height, and
-shift, px."""
-LEAN = np.array([0.1, 0.12, 0.3, 0.15])
-"""How far each of the first three leans to one side of the rim: one sigma of the cosine's and of the sine's part."""
-HEIGHT = 0.3
-"""How far a tube's edge differs from the height that its rays told one by one, as a part of it."""
-BEYOND, SEAM = 1.0, 0.5
-"""One sigma of how much brighter or darker it is beyond the wall."""
-RADIUS_SIGMA = 9.0
-"""How far, in edge widths, one tube's apparent radius strays from the picture's: as it likes."""
-OUTER_DOUBT = 0.7
-"""By how many times the noise samples are in doubt, per edge width beyond one: welds and neighbours begin there."""
-SEAM_IN, SEAM_WIDTH = 0.2, 0.7
-"""How far inside the wall's outer edge its seam lies, and how wide it is, in edge widths."""
 LIGHT_SHIFT, LIGHT_BLUR, SHARP_PX = 0.15, 1.0, 0.8
 """What uneven light shifts a rim by, in `Rims.light_px`: on sharp pictures, and more per px of blur beyond SHARP_PX.
 Measured on truth."""
@@ -159,7 +145,7 @@ def measure_rims(
     scale = _px_per_mm(vector, rotation, translation_mm, sheet_mm)
     count = rays or rays_for(2 * math.pi * lattice.rim_radius_mm * scale)
     wall_px = (lattice.outer_radius_mm - lattice.rim_radius_mm) * scale
-    functionals, shapes = _shapes(profile, wall_px)
+    functionals, shapes = shapes_of(profile, wall_px)
     numbers, direction = np.empty((n, count, NUMBERS), np.float32), np.empty((n, count, 2), np.float32)
     valid, mean = np.empty((n, count), np.bool_), np.empty((n, SAMPLES))
     center, level, out = np.empty((n, 2)), np.zeros(n), np.zeros((n, 11))
@@ -195,90 +181,6 @@ def _px_per_mm(vector: Array, rotation: Array, translation_mm: Array, sheet_mm: 
     middle = sheet_mm.mean(axis=0)
     depth = rotation[2, 0] * middle[0] + rotation[2, 1] * middle[1] + translation_mm[2]
     return math.sqrt(vector[0] * vector[1]) / max(float(depth), 1e-6)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Shapes:
-    """What a ray is made of, in terms in which both noise and straying are diagonal.
-
-    With the shapes `B`, samples weighed by `W`, straying of covariance `S` and ``S^1/2 B^T W B S^1/2 = Q L Q^T``, the
-    shapes ``B S^1/2 Q`` have the diagonal normal matrix `L` and stray by one each.
-
-    Attributes
-    ----------
-    basis
-        (BASIS, BASIS): ``S^1/2 Q`` takes coefficients in these terms to those of the shapes themselves.
-    information
-        (BASIS,) `L`, for noise of one grey value over one px.
-    first
-        (BASIS,) numbers of a ray that is one everywhere.
-    edge, moved
-        (BASIS,) what a ray's numbers above its bore are multiplied with for the height of its edge, by itself, and for
-        that height times its shift.
-    prior, expected
-        (2, BASIS, BASIS) information on the means and on each of the leans, before a tube is looked at; (BASIS,) that
-        of the means times what is expected.
-    """
-
-    basis: NDArray[np.float64]
-    information: NDArray[np.float64]
-    first: NDArray[np.float64]
-    edge: NDArray[np.float64]
-    moved: NDArray[np.float64]
-    prior: NDArray[np.float64]
-    expected: NDArray[np.float64]
-
-
-def _shapes(profile: EdgeProfile, wall_px: float) -> tuple[NDArray[np.float32], Shapes]:
-    """What samples are multiplied with, (BASIS + 1, SAMPLES), the last row for their squares; and in what terms."""
-    means = np.array([np.inf, HEIGHT, BEYOND, SEAM, RADIUS_SIGMA * profile.width_px])
-    functionals, terms = _in_own_terms(profile.template, profile.width_px, profile.position_px, wall_px, means**-2.0)
-    return functionals, Shapes(*terms)
-
-
-@compiled
-def _in_own_terms(
-    T: Array, width: float, position: float, wall_px: float, on_means: Array
-) -> tuple[NDArray[np.float32], tuple[Array, Array, Array, Array, Array, Array, Array]]:
-    B, weight = _look_of_ray(T, width, position, wall_px)
-    M = (B * weight) @ B.T
-    information, Q = np.linalg.eigh(STRAY.reshape(-1, 1) * M * STRAY)
-    basis = STRAY.reshape(-1, 1) * Q
-    functionals = np.empty((BASIS + 1, SAMPLES), np.float32)
-    functionals[:BASIS] = (basis.T @ B) * weight
-    functionals[BASIS] = weight
-    det = M[1, 1] * M[4, 4] - M[1, 4] * M[1, 4]
-    edge, moved = np.empty(BASIS), np.empty(BASIS)
-    for p in range(BASIS):  # where a ray is nothing but its edge
-        edge[p] = (M[4, 4] * Q[1, p] / STRAY[1] - M[1, 4] * Q[4, p] / STRAY[4]) / det
-        moved[p] = (M[1, 1] * Q[4, p] / STRAY[4] - M[1, 4] * Q[1, p] / STRAY[1]) / det
-    prior = np.zeros((2, BASIS, BASIS))
-    for k in range(BASIS):
-        on_lean = LEAN[k] ** -2.0 if k < BASIS - 1 else 0.0
-        for p in range(BASIS):
-            for q in range(BASIS):
-                prior[0, p, q] += on_means[k] * basis[k, p] * basis[k, q]
-                prior[1, p, q] += on_lean * basis[k, p] * basis[k, q]
-    first = basis.T @ np.ascontiguousarray(M[:, 0])
-    return functionals, (basis, information, first, edge, moved, prior, basis[1] * on_means[1])
-
-
-@compiled
-def _look_of_ray(T: Array, width: float, position: float, wall_px: float) -> tuple[Array, Array]:
-    """The shapes, (BASIS, SAMPLES), and what each sample counts for, (SAMPLES,), for noise of one over one px."""
-    B, weight = np.empty((BASIS, SAMPLES)), np.empty(SAMPLES)
-    for j in range(SAMPLES):
-        left, right = max(j - 1, 0), min(j + 1, SAMPLES - 1)
-        span = GRID[right] - GRID[left]
-        beyond = (position - wall_px) / width + GRID[j]
-        B[0, j] = 1.0
-        B[1, j] = T[j]
-        B[2, j] = 0.5 * (1.0 + math.erf(beyond / math.sqrt(2.0)))
-        B[3, j] = math.exp(-0.5 * ((beyond + SEAM_IN) / SEAM_WIDTH) ** 2)
-        B[4, j] = -(T[right] - T[left]) / (width * span)
-        doubt = OUTER_DOUBT * max(GRID[j] - 1.0, 0.0)
-        weight[j] = width * span / (right - left) / (1.0 + doubt * doubt)
-    return B, weight
 
 
 @compiled
