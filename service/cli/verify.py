@@ -75,5 +75,5 @@ def _compared(session: RecordedSession) -> Iterator[Finding]:
             if record.values["result"] not in now:
                 yield Finding("evidence", f"record {record.number} is not what its frame measures now")
     print("\n".join(comparison.lines()))
-    if not comparison.same:
-        yield Finding("results.jsonl", comparison.first_difference or "nothing could be measured again")
+    if comparison.problem is not None:
+        yield Finding("results.jsonl", comparison.problem)

@@ -66,6 +66,20 @@ class Comparison:
         """Whether all that could be compared is equal, and something was."""
         return self.different == 0 and self.damaged == 0 and self.equal > 0
 
+    @property
+    def problem(self) -> str | None:
+        """Why it is not the same, in a line; None where it is."""
+        if self.same:
+            return None
+        if self.first_difference is not None:
+            return self.first_difference
+        if self.inexact:
+            return (
+                "no result can be held to the last bit: frames that were measured before are not recorded; "
+                "record from the start (--record) where that is wanted"
+            )
+        return "nothing could be measured again"
+
     def start(self) -> None:
         """Take nothing."""
 
@@ -140,6 +154,8 @@ class Comparison:
         lines = [f"  recorded     {', '.join(said)} (elapsed_ms is not compared)"]
         if self.first_difference is not None:
             lines.append(f"               first: {self.first_difference}")
+        elif self.compared and self.problem is not None:
+            lines.append(f"               {self.problem}")
         if self.locks:
             lines.append(f"  lock changed {', '.join(f'{count:,} {what}' for what, count in self.locks.items())}")
         for what, apart in self._moved.items():
