@@ -174,8 +174,9 @@ def _place_named(
     name: TubeName, named: NamedLattice | None, measurement: Measurement
 ) -> tuple[Place | None, Obstacle | None]:
     if named is None:
-        why = "the lattice index is in doubt" if Doubt.INDEX in measurement.doubt else "no anchor names the tubes"
-        return None, (f"which tube is {name}: {why}", Help.ANCHOR)
+        if Doubt.INDEX in measurement.doubt:
+            return None, (f"which tube is {name}: the lattice index is in doubt", Help.INDEX)
+        return None, (f"which tube is {name}: no anchor names the tubes", Help.ANCHOR)
     known = named.rule.map
     if known is not None and not known.approximate and not known.holds(name):
         return None, (f"there is no tube {name} on map {known.name}", Help.TARGET)

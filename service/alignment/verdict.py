@@ -48,6 +48,7 @@ class Help(enum.StrEnum):
     ALIGN_SETUP = "measure the guide again: bowlsight align-setup"
     PITCH = "give the pitch more exactly"
     ANCHOR = "anchor a tube"
+    INDEX = "move back to where the index was certain, or start anew and anchor a tube"
     TARGET = "choose the target again"
     SOURCE = "check the video source"
 
@@ -125,7 +126,7 @@ def judge(sight: Sight, bands: Bands, before: Judgement | None) -> Judgement:
     return unsure or _graded(sight, m.pose, sight.lean, sight.entry, bands, before)
 
 
-FORBIDDING = {Doubt.INDEX: Help.ANCHOR, Doubt.SCALE: Help.CALIBRATE, Doubt.CALIBRATION: Help.CALIBRATE}
+FORBIDDING = {Doubt.INDEX: Help.INDEX, Doubt.SCALE: Help.CALIBRATE, Doubt.CALIBRATION: Help.CALIBRATE}
 HINTING = {Doubt.FOCUS: Help.FOCUS, Doubt.LIGHT: Help.LIGHT}
 
 

@@ -265,6 +265,14 @@ class TestConditions:
         (condition,) = alignment_conditions(aligner.update(m, None, 0), Bands())
         assert (condition.key, condition.todo) == ("cannot-judge", "anchor a tube")
 
+    def test_an_index_in_doubt_asks_for_no_anchor_that_would_be_turned_away(self):
+        m, geometry = view()
+        doubtful = replace(m, doubt=(Doubt.INDEX,))
+        aligner = aligner_for(geometry, parse_target("L83R87", RULE))
+        (condition,) = alignment_conditions(aligner.update(doubtful, None, 0), Bands())
+        assert "the lattice index is in doubt" in condition.reason
+        assert condition.todo.startswith("move back to where the index was certain")
+
 
 def test_offsets_of_moving_truth_scenes_stay_within_two_sigma():
     """Through the whole of `Aligner`, whichever tube it takes for the nearest."""

@@ -76,7 +76,7 @@ def test_a_margin_within_its_uncertainty_is_no_margin():
         ({"sigma_mm": 0.3, "source": "pitch"}, "offset", [Help.PITCH]),
         ({"sigma_mm": 0.3, "doubt": (Doubt.LIGHT,)}, "offset", [Help.LIGHT]),
         ({"sigma_mm": 0.3, "doubt": (Doubt.FOCUS,)}, "offset", [Help.FOCUS]),
-        ({"doubt": (Doubt.INDEX,)}, "index is in doubt", [Help.ANCHOR]),
+        ({"doubt": (Doubt.INDEX,)}, "index is in doubt", [Help.INDEX]),
         ({"doubt": (Doubt.SCALE,)}, "scale is in doubt", [Help.CALIBRATE]),
         ({"doubt": (Doubt.CALIBRATION, Doubt.LIGHT)}, "calibration", [Help.CALIBRATE, Help.LIGHT]),
         ({"obstacle": ("which tube is L83R87: no anchor", Help.ANCHOR)}, "which tube", [Help.ANCHOR]),
