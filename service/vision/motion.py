@@ -21,6 +21,8 @@ __all__ = ["Motion", "aligned", "centred"]
 
 ACCELERATION_MM_PER_S2 = 200.0
 """What an arm may do while nobody looks."""
+LEAST_S = 1e-3
+"""Pictures nearer in time tell no speed: where frames were passed over, a field may seem to be as old as the next."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,7 +57,7 @@ class Motion:
     def moved_to(self, rotation: Array, translation_mm: Array, time_ns: int, anchor_mm: Array) -> Motion:
         """The motion after a new measured pose."""
         dt = (time_ns - self.time_ns) * 1e-9
-        if dt <= 0.0:
+        if dt < LEAST_S:
             return Motion(rotation, translation_mm, anchor_mm, time_ns, self.turn_per_s, self.speed_mm_per_s)
         turn = np.asarray(cv2.Rodrigues(rotation @ self.rotation.T)[0], np.float64).ravel() / dt
         before = self.rotation[:, :2] @ anchor_mm + self.translation_mm
