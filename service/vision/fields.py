@@ -48,6 +48,7 @@ class Interlace:
         self.scan = Scan.UNDECIDED
         self.top_first = True
         self._steady = 0
+        self._whole, self._torn = False, False
         self._order = 0.0
         self._last_top: Refined | None = None
 
@@ -59,13 +60,18 @@ class Interlace:
         Parameters
         ----------
         frame, top, bottom
-            What each showed; a frame without a pattern whose top field has one is two pictures in one.
+            What each showed; a frame without a pattern whose top field has one is two pictures in one. Where frames
+            have shown one before, it takes two in a row: after a leap the field may just have been found sooner.
         frame_motion_px
             How far the picture moved since the frame before; NaN where that is not known.
         """
         if frame is None and top is not None:
-            self.scan = Scan.INTERLACED
+            if self._torn or not self._whole:
+                self.scan = Scan.INTERLACED
+            self._torn = True
             return
+        self._torn = False
+        self._whole = self._whole or frame is not None
         motion = None if top is None or bottom is None else field_motion(top, bottom)
         if motion is None:
             return

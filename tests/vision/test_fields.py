@@ -8,6 +8,8 @@ import pytest
 from drivers.scene import NOMINAL
 from service.vision.fields import FieldMotion, Interlace, Scan
 from service.vision.measurement import Lock
+from service.vision.stopwatch import Stopwatch
+from service.vision.tracking import Tracker
 from tests.scenes.rendered import PERIOD_NS, drift_pitches, errors_of, film, looking, measurer_of, woven
 
 REAL = replace(NOMINAL, hose=False, lane_rows=0)
@@ -108,6 +110,27 @@ def test_an_odd_number_of_lines_is_no_trouble(field):
     measurer = measurer_of(camera, views[0].lattice)
     answers = [measurer.measure(f, k * PERIOD_NS, field) for k, f in enumerate(frames)]
     assert {m.lock for a in answers[1:] for m in a} == {Lock.FULL}
+
+
+def test_one_frame_lost_in_a_leap_does_not_make_a_video_interlaced():
+    views = moving(0.0, 2)
+    refined = Tracker(views[0].camera, views[0].lattice).step(views[0].image, None, 0, Stopwatch(lambda: 0)).refined
+    interlace = Interlace()
+    interlace.compared(refined, None, None, 0.0)
+    interlace.compared(None, refined, None, 0.0)
+    assert interlace.scan is Scan.UNDECIDED
+    interlace.compared(refined, None, None, 0.0)
+    for expected in (Scan.UNDECIDED, Scan.INTERLACED):
+        interlace.compared(None, refined, None, 0.0)
+        assert interlace.scan is expected
+
+
+def test_a_first_frame_that_only_its_fields_explain_is_interlaced():
+    views = moving(0.0, 1)
+    refined = Tracker(views[0].camera, views[0].lattice).step(views[0].image, None, 0, Stopwatch(lambda: 0)).refined
+    interlace = Interlace()
+    interlace.compared(None, refined, None, 0.0)
+    assert interlace.scan is Scan.INTERLACED
 
 
 def test_a_motion_is_clear_beyond_noise_only():
