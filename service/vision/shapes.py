@@ -38,6 +38,8 @@ RADIUS_SIGMA = 9.0
 """How far, in edge widths, one tube's apparent radius strays from the picture's: as it likes."""
 OUTER_DOUBT = 0.7
 """By how many times the noise samples are in doubt, per edge width beyond one: welds and neighbours begin there."""
+LEAST_INFORMATION = 1e-9
+"""Of the most: on large tubes the wall's outer edge lies beyond the samples, and its shapes are nothing."""
 SEAM_IN, SEAM_WIDTH = 0.2, 0.7
 """How far inside the wall's outer edge its seam lies, and how wide it is, in edge widths."""
 
@@ -88,6 +90,7 @@ def _in_own_terms(
     B, weight = _look_of_ray(T, width, position, wall_px)
     M = (B * weight) @ B.T
     information, Q = np.linalg.eigh(STRAY.reshape(-1, 1) * M * STRAY)
+    information = np.maximum(information, LEAST_INFORMATION * information[-1])
     basis = STRAY.reshape(-1, 1) * Q
     functionals = np.empty((BASIS + 1, SAMPLES), np.float32)
     functionals[:BASIS] = (basis.T @ B) * weight

@@ -6,8 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from drivers.scene import NOMINAL
+from drivers.scene import CLEAN, NOMINAL
+from service.vision.edges import start_profile
 from service.vision.measurement import Lock, Origin
+from service.vision.shapes import shapes_of
 from tests.scenes.rendered import PLAIN, errors_of, looking, view
 
 EVEN = replace(PLAIN, wall=0.0, read_noise=0.5)
@@ -109,3 +111,18 @@ def test_nothing_of_an_answer_is_without_a_finite_value(bits):
     assert np.linalg.eigvalsh(m.pose.covariance).min() > 0
     assert np.allclose(m.pose.rotation @ m.pose.rotation.T, np.eye(3), atol=1e-12)
     assert m.elapsed_ms.keys() >= {"detect", "pose", "total"}
+
+
+def test_tubes_so_large_that_their_walls_end_beyond_the_samples_are_measured_too():
+    seen = view(look=replace(CLEAN, blur_px=0.6), size_px=(640, 480), pitch_px=150.0)
+    _, e = scored(seen)
+    assert rms_px(e) < 0.12
+    assert (e.missed, e.false) == (0, 0)
+
+
+@pytest.mark.parametrize("wall_px", [0.5, 8.0, 100.0])
+def test_the_terms_of_a_ray_are_finite_however_thick_the_wall(wall_px):
+    _, terms = shapes_of(replace(start_profile(0.8), learnt=True), wall_px)
+    assert np.all(terms.information > 0)
+    for numbers in (terms.basis, terms.first / terms.information, terms.edge, terms.moved, terms.prior):
+        assert np.all(np.isfinite(numbers))
