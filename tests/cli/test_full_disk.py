@@ -54,7 +54,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_watch(tmp_path):
     assert "No space left on device; make room" in done.stderr
     assert "the watch goes on without it" in done.stderr
     assert any("recording stopped" in line for line in summary)
-    assert any(line.startswith("time is up after 8") for line in summary)
+    assert any(line.startswith("time is up after") for line in summary)
     delivered = next(int(line.split()[0].replace(",", "")) for line in summary if " delivered = " in line)
     assert 20 < found["frames"] < delivered
     assert (found["status"], found["end"], found["grave"]) == (1, "interrupted", [])
