@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["AlarmDesk", "alarm_dict", "source_conditions"]
 
-TODO = {
+WHAT_TO_DO = {
     "NO SIGNAL": "check camera, lamp and cable, and which input is chosen; stop moving",
     "FROZEN": "stop moving: the picture is not live; check the grabber",
     "STALE": "stop moving: the picture is old; check grabber and cable",
@@ -27,10 +27,10 @@ TODO = {
 def source_conditions(kind: str, status: SourceStatus) -> Sequence[Condition]:
     """What is wrong with the source; that a recording is over is no alarm."""
     word = status.liveness
-    if word not in TODO or (word == "ENDED" and kind == "REPLAY"):
+    if word not in WHAT_TO_DO or (word == "ENDED" and kind == "REPLAY"):
         return ()
     reason = f"{word}: {status.reason}" if status.reason else word
-    return (Condition(f"source {word.lower()}", reason, TODO[word]),)
+    return (Condition(f"source {word.lower()}", reason, WHAT_TO_DO[word]),)
 
 
 class AlarmDesk:
