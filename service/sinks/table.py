@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +44,7 @@ def tube_counts(measurement: Measurement) -> tuple[int, int]:
     return measured, len(measurement.tubes) - measured
 
 
-class _RowWriter:
+class _RowWriter(ABC):
     """Writes a header, then rows as they come."""
 
     name = "rows"
@@ -67,8 +68,9 @@ class _RowWriter:
             self._file.write(self._row(result))
         self._written += 1
 
+    @abstractmethod
     def _row(self, result: FrameResult) -> str:
-        raise NotImplementedError
+        """One result as the file has it."""
 
     def close(self, timeout_s: float) -> None:  # noqa: ARG002 - nothing waits to be written
         """Close the file."""

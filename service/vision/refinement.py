@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["Refined", "accepted", "projected", "refine"]
 
 LEAST_STRENGTH = 3.0
-"""Edges weaker than this are noise: 2 % of bare plate passes, fewer once radius and place must fit too."""
+"""Edges weaker than this are noise: bare plate seldom passes, and less often once radius and place must fit too."""
 LEAST_RAYS = 0.4
 LEAST_TUBES = 6
 """Fewer measured tubes do not make a pose worth telling."""

@@ -29,8 +29,8 @@ def noise_of(picture, center_px, radius_px):
     """Of grey values in the bore: second differences, which only noise makes."""
     x, y, k = int(center_px[0]), int(center_px[1]), max(2, int(radius_px / 2))
     bore = picture[max(0, y - k) : y + k, max(0, x - k) : x + k].astype(float)
-    second = np.diff(bore, 2, axis=1) / math.sqrt(6.0) if bore.shape[1] > 2 else np.zeros(1)
-    return max(LEAST_NOISE, 1.4826 * float(np.median(np.abs(second))) if second.size else LEAST_NOISE)
+    second = np.abs(np.diff(bore, 2, axis=1)) / math.sqrt(6.0)
+    return max(LEAST_NOISE, 1.4826 * float(np.median(second))) if second.size else LEAST_NOISE
 
 
 def shift_bound_px(picture, rims: Rims, used, radius_px):
