@@ -15,7 +15,6 @@ from service.acquisition.live import STOP_S, LiveService
 from service.alignment.interpreter import Interpreter
 from service.cli.calibrating import calibration_sink
 from service.cli.inputs import fitting_camera
-from service.cli.kernels import compile_apart
 from service.cli.keys import pressed_keys
 from service.cli.recording import KEYS, make_recorder, on_key, recorded_lines
 from service.cli.reporting import Reporting
@@ -193,7 +192,6 @@ def prepare_kernels() -> None:
     notice.daemon = True
     notice.start()
     try:
-        compile_apart()
         warm_up(time.perf_counter_ns)
     except OSError as error:
         raise ConfigError(

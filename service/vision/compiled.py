@@ -21,10 +21,13 @@ def compiled(function: F) -> F:
     """Compile a kernel with numba: cached on disk, releasing the interpreter lock.
 
     `fastmath` is limited to flags that keep NaN and infinity meaningful: a picture may hold neither, but a pose that
-    diverged does, and must be seen to.
+    diverged does, and must be seen to. A kernel that calls another has it inlined: what was compiled just now would
+    call the other where it was compiled by itself, what is loaded from the disk the copy optimised along with it, and
+    the last digits of the two differ.
     """
     flags = {"contract", "reassoc", "arcp", "nsz"}
-    return cast("F", numba.njit(cache=True, nogil=True, fastmath=flags, error_model="numpy")(function))
+    jit = numba.njit(cache=True, nogil=True, fastmath=flags, error_model="numpy", forceinline=True)
+    return cast("F", jit(function))
 
 
 @compiled

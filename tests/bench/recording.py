@@ -20,7 +20,6 @@ from drivers.frame import Field, Frame, PixelFormat
 from drivers.grabber import FrameFormat, Grabber, SystemClock
 from drivers.opening import open_grabber
 from service.acquisition.live import LiveService
-from service.cli.kernels import compile_apart
 from service.cli.simulate import camera_of
 from service.cli.viewing import viewer_watch
 from service.config.generators import load_generator
@@ -96,7 +95,6 @@ def main():
     args = parser.parse_args()
     pictures, camera = drawn(args.size)
     generator = load_generator("model-f")
-    compile_apart()
     warm_up(time.perf_counter_ns)
     root = Path(tempfile.mkdtemp(prefix="bowlsight-bench-"))
     settings = RecordingSettings(enabled=True, folder=root, csv=True)

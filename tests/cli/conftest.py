@@ -65,5 +65,4 @@ def vision(monkeypatch):
     for module in ("analyze", "live"):
         monkeypatch.setattr(f"service.cli.{module}.Measurer", fake)
     monkeypatch.setattr("service.cli.live.warm_up", lambda tick: None)
-    monkeypatch.setattr("service.cli.live.compile_apart", lambda: None)
     return fake

@@ -23,7 +23,6 @@ from service.acquisition.slot import FrameQueue
 from service.alignment.targets import Target, parse_anchor
 from service.cli.again import measured_as_recorded
 from service.cli.interpreting import interpreter_for
-from service.cli.kernels import compile_apart
 from service.config.recording import RecordingSettings
 from service.config.station import read_station
 from service.sinks.session.comparison import Comparison
@@ -43,12 +42,6 @@ VIDEOS = [
     ("w1_Delta60_hard_speckle_640x480.avi", "delta60"),
 ]
 GUIDE = "mouth_mm = [5, -4, 600]\naxis = [0.01, -0.01, 1]\naxis_sigma_deg = 0.1\npoint_sigma_mm = 0.1\n"
-
-
-@pytest.fixture(autouse=True, scope="module")
-def kernels():
-    """Compiled beforehand, as commands find them."""
-    compile_apart()
 
 
 def station(folder: Path, generator: str) -> Path:

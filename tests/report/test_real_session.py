@@ -6,7 +6,6 @@ from collections import Counter
 
 import pytest
 
-from service.cli.kernels import compile_apart
 from service.demo import demo_video
 from service.sinks.session.reader import open_session
 from tests.cli.test_session_replay import record
@@ -17,7 +16,6 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(scope="module")
 def session(tmp_path_factory):
-    compile_apart()
     return open_session(record(demo_video(), tmp_path_factory.mktemp("real"), "model-f", 24))
 
 

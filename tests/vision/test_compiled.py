@@ -1,0 +1,57 @@
+"""What is compiled just now and what is loaded from the disk is the same machine code."""
+
+import importlib
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+SOURCE = """
+from service.vision.compiled import clipped_mean, compiled
+
+@compiled
+def calling_kernel(a):
+    return clipped_mean(a, 3)[0] + clipped_mean(a[1:], 4)[0] + clipped_mean(a[2:], 5)[0]
+"""
+PROGRAM = """
+import hashlib
+from dataclasses import replace
+from drivers.scene import NOMINAL
+from tests.scenes.rendered import film, looking, measurer_of
+
+look = replace(NOMINAL, scatter_mm=0.1)
+pictures = film([looking(5.0 + 0.05 * k) for k in range(4)], "model-f", look)
+measurer = measurer_of(pictures[0].camera, pictures[0].lattice)
+digest = hashlib.sha256()
+for k, picture in enumerate(pictures):
+    for seen in measurer.measure(picture.image, k * 40_000_000):
+        digest.update(seen.tubes.center_px.tobytes() + seen.pose.rotation.tobytes())
+print(digest.hexdigest())
+"""
+
+
+def test_a_kernel_takes_in_those_that_it_calls(tmp_path, monkeypatch):
+    (tmp_path / "calling.py").write_text(SOURCE)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    kernel = importlib.import_module("calling").calling_kernel
+    kernel.compile("float64(float64[::1])")
+    (code,) = kernel.inspect_asm().values()
+    lines = [line for line in code.splitlines() if "NumbaEnv" not in line]
+    assert any("calling_kernel" in line for line in lines)
+    assert not [line for line in lines if "clipped_mean" in line]
+
+
+@pytest.mark.slow
+def test_the_first_run_gives_what_later_ones_give(tmp_path):
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "NUMBA_CACHE_DIR": str(tmp_path)}
+    runs = [
+        subprocess.run(
+            [sys.executable, "-c", PROGRAM], cwd=ROOT, env=environment, capture_output=True, text=True, timeout=300,
+            check=True,
+        ).stdout
+        for _ in range(2)
+    ]  # fmt: skip
+    assert runs[0] == runs[1] != ""
