@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 
 __all__ = ["distort_jacobian", "distort_point", "project", "project_point", "undistort", "undistort_point"]
 
+NEWTON_STEP = 1e-7
+"""Relative step after which a root stands: each step squares the error."""
+
 
 @compiled
 def distort_point(v: Array, x: float, y: float) -> tuple[float, float]:
@@ -29,8 +32,9 @@ def distort_point(v: Array, x: float, y: float) -> tuple[float, float]:
         if k == 0.0 or r2 == 0.0:
             return x, y
         r = math.sqrt(r2)
-        # Newton on d (1 + k d^2) = r from the outer side, where the cubic is monotone and convex or concave throughout
-        d = min(r, np.cbrt(r / k)) if k > 0.0 else min(r * (1.0 - k * r2), 1.0 / math.sqrt(-3.0 * k))
+        # Newton on d (1 + k d^2) = r: for k > 0 from anywhere, else from inside the fold, where the cubic is monotone
+        bend = k * r2
+        d = r * (1.0 - bend * (1.0 - 3.0 * bend)) if abs(bend) < 0.15 else r / (1.0 + bend) if bend > 0.0 else r
         for _ in range(50):
             slope = 1.0 + 3.0 * k * d * d
             if slope < 1e-9:
@@ -38,7 +42,7 @@ def distort_point(v: Array, x: float, y: float) -> tuple[float, float]:
                 continue
             step = (d * (1.0 + k * d * d) - r) / slope
             d -= step
-            if abs(step) < 1e-15 + 1e-13 * d:
+            if abs(step) < NEWTON_STEP * d:
                 break
         return x * d / r, y * d / r
     s = 1.0 + r2 * (v[5] + r2 * (v[6] + r2 * v[9]))

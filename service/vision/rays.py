@@ -1,8 +1,13 @@
-"""Sample a picture along the normals of projected circles, and condense what each ray shows."""
+"""Sample a picture along the normals of projected circles, and condense what each ray shows.
+
+What is told of n circles with as many rays each stands in arrays whose last axis is the circles': kernels that take
+one step for all circles before the next run many of them at a time.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -15,12 +20,15 @@ from service.vision.projection import project_point
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from service.vision.edges import EdgeProfile
+
     Array: TypeAlias = NDArray[np.float64]
+    Single: TypeAlias = NDArray[np.float32]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-__all__ = ["BASIS", "BORE", "ENERGY", "NOISE", "NUMBERS", "OUTSIDE", "circle_of", "rays_for", "sample_rays"]
+__all__ = ["BASIS", "BORE", "ENERGY", "NOISE", "NUMBERS", "OUTSIDE", "Rays", "rays_for", "sample_rays"]
 
-NODES = 8
+NODES = 6
 """Points of a circle that are projected exactly; a trigonometric polynomial through them gives the others."""
 _ANGLE = 2 * np.pi * np.arange(NODES) / NODES
 NODE_WAVES = np.column_stack([np.ones(NODES), np.cos(_ANGLE), np.sin(_ANGLE), np.cos(2 * _ANGLE), np.sin(2 * _ANGLE)])
@@ -33,8 +41,36 @@ ENERGY, BORE, OUTSIDE, NOISE, NUMBERS = 5, 6, 7, 8, 9
 difference in the bore, which only noise makes."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Rays:
+    """What the rays of n circles showed.
+
+    Attributes
+    ----------
+    numbers
+        (NUMBERS, rays, n) float32, of grey values above `level`; 0 where a ray is not valid.
+    direction
+        (2, rays, n) float32, outward normals, of unit length where pixels are square.
+    valid
+        (rays, n) float32: 1 where the ray lies in the picture, else 0.
+    center_px
+        (n, 2) projected middles; NaN where there is none.
+    mean
+        (n, SAMPLES) mean grey over the valid rays.
+    level
+        (n,) grey.
+    """
+
+    numbers: NDArray[np.float32]
+    direction: NDArray[np.float32]
+    valid: NDArray[np.float32]
+    center_px: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    level: NDArray[np.float64]
+
+
 @lru_cache(maxsize=64)
-def circle_of(count: int) -> Array:
+def _circle_of(count: int) -> Array:
     """Cosine and sine of `count` angles around a circle, and of twice those, (4, count)."""
     a = 2 * np.pi * np.arange(count) / count
     return np.array([np.cos(a), np.sin(a), np.cos(2 * a), np.sin(2 * a)])
@@ -45,67 +81,83 @@ def rays_for(circumference_px: float) -> int:
     return min(max(4 * round(circumference_px / RAY_SPACING_PX / 4), FEWEST_RAYS), MOST_RAYS)
 
 
-@compiled
 def sample_rays(
-    image: Image, v: Array, R: Array, t: Array, sheet_mm: Array, radius_mm: float, circle: Array, offsets: Array,
-    functionals: NDArray[np.float32], numbers: NDArray[np.float32], direction: NDArray[np.float32], center: Array,
-    valid: NDArray[np.bool_], mean: Array, level: Array,
-) -> None:  # fmt: skip
-    """Sample along the normals of projected circles, bilinear; a ray that leaves the picture is not valid.
+    image: Image, vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array, radius_mm: float,
+    profile: EdgeProfile, functionals: NDArray[np.float32], count: int,
+) -> Rays:  # fmt: skip
+    """Sample along the normals of projected circles, bilinear.
 
     Parameters
     ----------
-    v, R, t
-        Intrinsics and pose.
-    sheet_mm, radius_mm, circle
-        (n, 2) middles of the circles, and their points, `circle_of`.
-    offsets
-        (SAMPLES,) px of x along the normal, outwards.
+    image
+        (h, w) grey, C-contiguous.
+    vector, rotation, translation_mm
+        Intrinsics (`camera.lens_vector`) and pose.
+    sheet_mm, radius_mm
+        (n, 2) middles of the circles.
+    profile
+        Says where rays are sampled.
     functionals
-        (BASIS + 1, SAMPLES) float32: what samples are multiplied with; the last row weighs their squares.
-    numbers, direction, center, valid, mean, level
-        Filled in: (n, rays, NUMBERS) of grey values above `level`, (n, rays, 2) outward normals, of unit length where
-        pixels are square, (n, 2) projected middles, (n, rays), (n, SAMPLES) mean over the rays, and (n,).
+        (BASIS + 1, SAMPLES): what samples are multiplied with; the last row weighs their squares.
+    count
+        Rays a circle, a multiple of four.
     """
-    h, w = image.shape
-    count, last = circle.shape[1], offsets.shape[0] - 1
-    aspect = v[0] / v[1]
-    wave, ray = np.empty((2, 5)), np.empty((4, count))
-    scratch, place, u = np.empty((6, SAMPLES), np.float32), np.empty(SAMPLES, np.int32), offsets.astype(np.float32)
-    grey, total = np.empty(SAMPLES, np.float32), np.empty(SAMPLES, np.float32)
-    for i in range(sheet_mm.shape[0]):
-        center[i, 0], center[i, 1] = project_point(v, R, t, sheet_mm[i, 0], sheet_mm[i, 1], 0.0)
-        sense = _project_circle(v, R, t, sheet_mm[i, 0], sheet_mm[i, 1], radius_mm, wave)
-        if math.isnan(center[i, 0]) or sense == 0.0:
-            valid[i] = False
-            continue
-        seen = 0
-        total[:] = 0.0
-        _directions(wave, circle, sense, aspect, ray)
-        base = np.float32(0.0)
-        for k in range(count):
-            x, y, nx, ny = ray[0, k], ray[1, k], ray[2, k], ray[3, k]
-            direction[i, k, 0], direction[i, k, 1] = nx, aspect * ny
-            x0, x1 = x + offsets[0] * nx, x + offsets[last] * nx
-            y0, y1 = y + offsets[0] * ny, y + offsets[last] * ny
-            inside = min(x0, x1) >= 0.0 and max(x0, x1) < w - 1.01 and min(y0, y1) >= 0.0 and max(y0, y1) < h - 1.01
-            valid[i, k] = inside
-            if inside:
-                _along(image, x, y, nx, ny, u, place, scratch, grey)
-                if seen == 0:
-                    base = grey[0]
-                seen += 1
-                for j in range(SAMPLES):
-                    total[j] += grey[j]
-                    grey[j] -= base
-                _condense(grey, functionals, numbers[i, k])
-        level[i] = base
-        for j in range(SAMPLES):
-            mean[i, j] = total[j] / max(seen, 1)
+    n = len(sheet_mm)
+    rays = Rays(
+        numbers=np.empty((NUMBERS, count, n), np.float32), direction=np.empty((2, count, n), np.float32),
+        valid=np.empty((count, n), np.float32), center_px=np.empty((n, 2)), mean=np.empty((n, SAMPLES)),
+        level=np.empty(n),
+    )  # fmt: skip
+    _sample(
+        image, vector, rotation, translation_mm, sheet_mm, radius_mm, _circle_of(count), profile.offsets_px,
+        functionals, rays.numbers, rays.direction, rays.valid, rays.center_px, rays.mean, rays.level,
+    )  # fmt: skip
+    return rays
 
 
 @compiled
-def _directions(wave: Array, circle: Array, sense: float, aspect: float, ray: Array) -> None:
+def _sample(
+    image: Image, v: Array, R: Array, t: Array, sheet_mm: Array, radius_mm: float, circle: Array, offsets: Array,
+    functionals: Single, numbers: Single, direction: Single, valid: Single, center: Array, mean: Array, level: Array,
+) -> None:  # fmt: skip
+    """Fill in what `Rays` holds."""
+    count = circle.shape[1]
+    aspect = v[0] / v[1]
+    wave, ray, inside = np.empty((2, 5)), np.empty((4, count), np.float32), np.empty(count, np.float32)
+    place, work = np.empty(SAMPLES * count, np.uint32), np.empty((6, SAMPLES * count), np.float32)
+    grey, told = np.empty(SAMPLES * count, np.float32), np.empty((NUMBERS, count), np.float32)
+    u = offsets.astype(np.float32)
+    for i in range(sheet_mm.shape[0]):
+        center[i, 0], center[i, 1] = project_point(v, R, t, sheet_mm[i, 0], sheet_mm[i, 1], 0.0)
+        sense = _project_circle(v, R, t, sheet_mm[i, 0], sheet_mm[i, 1], radius_mm, wave)
+        seen = 0
+        if not math.isnan(center[i, 0]) and sense != 0.0:
+            _directions(wave, circle, sense, aspect, ray)
+            seen = _inside(image.shape[1], image.shape[0], ray, u, inside)
+        level[i] = 0.0
+        if seen == 0:
+            for k in range(count):
+                valid[k, i], direction[0, k, i], direction[1, k, i] = 0.0, 0.0, 0.0
+                for p in range(NUMBERS):
+                    numbers[p, k, i] = 0.0
+            mean[i] = 0.0
+            continue
+        base = _along(image, ray, u, place, work, grey)
+        _condense(grey, functionals, told)
+        for k in range(count):
+            valid[k, i], direction[0, k, i], direction[1, k, i] = inside[k], ray[2, k], aspect * ray[3, k]
+            for p in range(NUMBERS):
+                numbers[p, k, i] = inside[k] * told[p, k]
+        level[i] = base
+        for j in range(SAMPLES):
+            total = np.float32(0.0)
+            for k in range(count):
+                total += inside[k] * grey[j * count + k]
+            mean[i, j] = base + total / seen
+
+
+@compiled
+def _directions(wave: Array, circle: Array, sense: float, aspect: float, ray: Single) -> None:
     """Points of a projected circle and its normals there, rows x, y, nx, ny: one px of x along them is one px long.
 
     The normal is that on the sensor: blur and edge are round there, not in a field's lines.
@@ -140,44 +192,66 @@ def _project_circle(v: Array, R: Array, t: Array, x: float, y: float, radius_mm:
 
 
 @compiled
-def _along(
-    image: Image, x: float, y: float, nx: float, ny: float, offsets: NDArray[np.float32], place: NDArray[np.int32],
-    scratch: NDArray[np.float32], grey: NDArray[np.float32],
-) -> None:  # fmt: skip
-    """Bilinear grey values at (x, y) + offsets * n; in three loops, of which two run eight at a time."""
-    width = np.int32(image.shape[1])
-    flat = image.reshape(-1)
-    x0, y0, dx, dy = np.float32(x), np.float32(y), np.float32(nx), np.float32(ny)
-    fx, fy, p, q, r, s = scratch[0], scratch[1], scratch[2], scratch[3], scratch[4], scratch[5]
-    for j in range(SAMPLES):
-        xs, ys = x0 + offsets[j] * dx, y0 + offsets[j] * dy
-        ix, iy = np.int32(xs), np.int32(ys)
-        fx[j], fy[j] = xs - np.float32(ix), ys - np.float32(iy)
-        place[j] = iy * width + ix
-    for j in range(SAMPLES):
-        k = np.uint32(place[j])
-        below = k + np.uint32(width)
-        p[j], q[j], r[j], s[j] = flat[k], flat[k + np.uint32(1)], flat[below], flat[below + np.uint32(1)]
-    for j in range(SAMPLES):
-        top = p[j] + fx[j] * (q[j] - p[j])
-        grey[j] = top + fy[j] * (r[j] + fx[j] * (s[j] - r[j]) - top)
+def _inside(width: int, height: int, ray: Single, u: Single, inside: Single) -> int:
+    """Tell, and count, the rays that lie in the picture; the others are moved to its corner."""
+    seen, last = 0, u.shape[0] - 1
+    for k in range(ray.shape[1]):
+        x0, x1 = ray[0, k] + u[0] * ray[2, k], ray[0, k] + u[last] * ray[2, k]
+        y0, y1 = ray[1, k] + u[0] * ray[3, k], ray[1, k] + u[last] * ray[3, k]
+        if min(x0, x1) >= 0.0 and max(x0, x1) < width - 1.01 and min(y0, y1) >= 0.0 and max(y0, y1) < height - 1.01:
+            inside[k] = 1.0
+            seen += 1
+        else:
+            inside[k] = 0.0
+            ray[0, k], ray[1, k], ray[2, k], ray[3, k] = 0.0, 0.0, 0.0, 0.0
+    return seen
 
 
 @compiled
-def _condense(grey: NDArray[np.float32], functionals: NDArray[np.float32], numbers: NDArray[np.float32]) -> None:
-    """A ray's NUMBERS."""
-    a, b, c, d, e, square = (
-        np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0), np.float32(0.0)
-    )  # fmt: skip
+def _along(image: Image, ray: Single, u: Single, place: NDArray[np.uint32], work: Single, grey: Single) -> float:
+    """Bilinear grey values along the rays, sample by sample, above the grey that is given: that of one of them.
+
+    In loops of one kind of work each, for processors that do such work many at a time.
+    """
+    width, count = np.uint32(image.shape[1]), ray.shape[1]
+    flat = image.reshape(-1)
+    fx, fy, p, q, r, s = work[0], work[1], work[2], work[3], work[4], work[5]
     for j in range(SAMPLES):
-        y = grey[j]
-        a += functionals[0, j] * y
-        b += functionals[1, j] * y
-        c += functionals[2, j] * y
-        d += functionals[3, j] * y
-        e += functionals[4, j] * y
-        square += functionals[BASIS, j] * y * y
-    numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], numbers[ENERGY] = a, b, c, d, e, square
-    numbers[BORE] = (grey[0] + grey[1] + grey[2]) / np.float32(INNER)
-    numbers[OUTSIDE] = (grey[SAMPLES - 2] + grey[SAMPLES - 1]) / np.float32(OUTER)
-    numbers[NOISE] = grey[0] - np.float32(2.0) * grey[1] + grey[2]
+        for k in range(count):
+            x, y = ray[0, k] + u[j] * ray[2, k], ray[1, k] + u[j] * ray[3, k]
+            ix, iy = np.int32(x), np.int32(y)
+            fx[j * count + k], fy[j * count + k] = x - np.float32(ix), y - np.float32(iy)
+            place[j * count + k] = np.uint32(iy) * width + np.uint32(ix)
+    for m in range(SAMPLES * count):
+        at = place[m]
+        below = at + width
+        p[m], q[m], r[m], s[m] = flat[at], flat[at + np.uint32(1)], flat[below], flat[below + np.uint32(1)]
+    base = np.float32(0.0)
+    for k in range(count):
+        if ray[2, k] != 0.0 or ray[3, k] != 0.0:
+            base = p[k]
+            break
+    for m in range(SAMPLES * count):
+        top = p[m] + fx[m] * (q[m] - p[m])
+        grey[m] = top + fy[m] * (r[m] + fx[m] * (s[m] - r[m]) - top) - base
+    return float(base)
+
+
+@compiled
+def _condense(grey: Single, functionals: Single, told: Single) -> None:
+    """The NUMBERS of each ray, (NUMBERS, rays), of its grey values above the base."""
+    count = told.shape[1]
+    for p in range(BASIS):
+        for k in range(count):
+            told[p, k] = functionals[p, 0] * grey[k]
+        for j in range(1, SAMPLES):
+            for k in range(count):
+                told[p, k] += functionals[p, j] * grey[j * count + k]
+    for k in range(count):
+        square = np.float32(0.0)
+        for j in range(SAMPLES):
+            square += functionals[BASIS, j] * grey[j * count + k] * grey[j * count + k]
+        told[ENERGY, k] = square
+        told[BORE, k] = (grey[k] + grey[count + k] + grey[2 * count + k]) / np.float32(INNER)
+        told[OUTSIDE, k] = (grey[(SAMPLES - 2) * count + k] + grey[(SAMPLES - 1) * count + k]) / np.float32(OUTER)
+        told[NOISE, k] = grey[k] - np.float32(2.0) * grey[count + k] + grey[2 * count + k]
