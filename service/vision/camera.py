@@ -104,6 +104,8 @@ class Camera:
 
     def of_frame(self, known: Camera, parity: int | None) -> Camera:
         """What was found of a picture's camera, in terms of the full frame whose camera is `known`; see `of_field`."""
+        if self is known:
+            return known
         point = self.principal_point_px
         if parity is not None and point is not None:
             point = point[0], 2 * point[1] + parity

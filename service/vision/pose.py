@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 
 from service.vision.camera import TSAI, Camera, OpenCVLens, TsaiLens
+from service.vision.cholesky import inverted, solved
 from service.vision.compiled import compiled, median_of
 from service.vision.projection import distort_jacobian, distort_point
 
@@ -234,7 +235,7 @@ def _damped_step(A: Array, b: Array, damping: float) -> Array:
         for q in range(m):
             S[p, q] = A[p, q] / (d[p] * d[q])
         S[p, p] += damping + 1e-12
-    return np.linalg.solve(S, b / d) / d
+    return solved(S, b / d) / d
 
 
 @compiled
@@ -242,7 +243,7 @@ def _gauss_newton(
     theta: Array, kind: float, pitch_mm: Array, fold: float, R: Array, t: Array, sheet_mm: Array, z: Array, cov: Array,
     scatter2: float, height2: float, free: NDArray[np.int64], prior_info: Array, prior_mean: Array, iterations: int,
 ) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, float, bool]:  # fmt: skip
-    """Solve robustly; gives theta, R, t, pivot, A, weight, info, px, J, scale, converged.
+    """Solve robustly; gives theta, R, t, pivot, covariance, weight, info, px, J, scale, converged.
 
     Levenberg's damping steps in only where a step makes the robust cost grow.
     """
@@ -306,7 +307,7 @@ def _gauss_newton(
     for p in range(k):
         for q in range(k):
             A[6 + p, 6 + q] += prior_info[p, q]
-    return theta, R, t, pivot, A, weight, info, px, J, scale, converged
+    return theta, R, t, pivot, inverted(A) * max(1.0, scale), weight, info, px, J, scale, converged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -465,7 +466,7 @@ def fit_pose(
     opencv = isinstance(camera.lens, OpenCVLens)
     lens_free = any(PARAMETERS.index(n) >= 5 for n in prior.names)
     fold = -1.0 if lens_free or not opencv else float(camera.vector()[10])
-    theta, R, t, pivot, A, weight, info, px, J, scale, converged = _gauss_newton(
+    theta, R, t, pivot, covariance, weight, info, px, J, scale, converged = _gauss_newton(
         start, 1.0 if opencv else TSAI, np.array(camera.pixel_pitch_mm), fold,
         np.ascontiguousarray(rotation), np.ascontiguousarray(translation_mm), sheet_mm, center_px, covariance_px,
         lattice.scatter_mm**2, lattice.height_scatter_mm**2, free, known, prior.mean, iterations,
@@ -473,8 +474,8 @@ def fit_pose(
     return Fit(
         rotation=R,
         translation_mm=t,
-        camera=camera_with(camera, theta),
-        covariance=np.asarray(np.linalg.inv(A) * max(1.0, scale), np.float64),
+        camera=camera_with(camera, theta) if prior.names else camera,
+        covariance=covariance,
         pivot_mm=pivot,
         names=prior.names,
         weight=weight,

@@ -10,7 +10,7 @@ import numpy as np
 
 from service.vision.compiled import median_of
 from service.vision.edges import EdgeProfile, start_profile
-from service.vision.pose import Fit, fit_pose, linearise
+from service.vision.pose import NO_PRIOR, Fit, fit_pose, linearise
 from service.vision.rims import Rims, measure_rims
 from service.vision.sites import Sites, sites_in_picture
 from service.vision.states import tube_states
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     Array: TypeAlias = NDArray[np.float64]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-__all__ = ["Refined", "accepted", "projected", "refine"]
+__all__ = ["Refined", "accepted", "approach", "projected", "refine"]
 
 LEAST_STRENGTH = 3.0
 """Edges weaker than this are noise: bare plate seldom passes, and less often once radius and place must fit too."""
@@ -39,6 +39,12 @@ SETTLED, STILL_SETTLED = 0.05, 0.15
 is known from the picture before, so that a shift is all that there is to find."""
 STEADY_WIDTH = 0.93
 """Least part of a profile's width that the next one may have, for a pass to be the last."""
+BROAD = 2.0
+"""Widths of the learnt edge that is looked for where tubes lie beyond its reach."""
+APPROACHES, LEAST_GUIDES = 3, 0.5
+"""How often a few tubes are measured at the most to bring a pose near, and what part of them must show."""
+OVERSHOT = 0.4
+"""Part of the shift that a broader edge is found with, which is too much."""
 NARROWING = 0.36
 """Most that the search narrows from pass to pass."""
 LIKELY_WIDTH_PX = 1.2
@@ -91,6 +97,49 @@ class Refined:
         return replace(self, sites=sites, fit=replace(self.fit, translation_mm=translation))
 
 
+def approach(
+    image: Image, camera: Camera, lattice: Lattice, rotation: Array, translation_mm: Array, guides_mm: Array,
+    profile: EdgeProfile, *, near: bool,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Bring a rough pose near by a few tubes: a fraction of a full pass. It stays as it was where too few show.
+
+    Parameters
+    ----------
+    image, camera, rotation, translation_mm
+        As in `refine`.
+    guides_mm
+        (m, 2) nominal places of the tubes.
+    profile
+        The learnt one.
+    near
+        Whether the tubes are thought to lie within its reach, about its width; else, and where they are not found, a
+        broader edge is looked for first.
+    """
+    look = profile if near else start_profile(BROAD * profile.width_px, profile.position_px)
+    for _ in range(APPROACHES):
+        rims = measure_rims(image, camera.vector(), rotation, translation_mm, guides_mm, lattice, look)
+        used = accepted(rims, look.width_px)
+        if used.sum() < max(LEAST_TUBES, LEAST_GUIDES * len(guides_mm)):
+            if look is not profile:
+                break
+            look = start_profile(BROAD * profile.width_px, profile.position_px)
+            continue
+        center = rims.center_px if look is profile else rims.center_px - OVERSHOT * rims.shift_px
+        fit = fit_pose(
+            guides_mm[used], center[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice, NO_PRIOR
+        )
+        rotation, translation_mm = fit.rotation, fit.translation_mm
+        if look is profile and _moved_px(rims, used) < STILL_SETTLED * profile.width_px:
+            break
+        look = profile
+    return rotation, translation_mm
+
+
+def _moved_px(rims: Rims, used: NDArray[np.bool_]) -> float:
+    """How far the tubes lie off, in the middle of them all."""
+    return max(abs(median_of(rims.shift_px[used, 0])), abs(median_of(rims.shift_px[used, 1])))
+
+
 def refine(
     image: Image,
     camera: Camera,
@@ -134,9 +183,10 @@ def refine(
         sites, rims, used = looked
         as_before = before is not None and not afresh
         narrow = profile if as_before else _narrowed(rims.profile(), profile)
-        moved = max(abs(median_of(rims.shift_px[used, 0])), abs(median_of(rims.shift_px[used, 1])))
         settled = SETTLED if before is None else STILL_SETTLED
-        steady = moved < settled * profile.width_px and narrow.width_px > profile.width_px * STEADY_WIDTH
+        steady = (
+            _moved_px(rims, used) < settled * profile.width_px and narrow.width_px > profile.width_px * STEADY_WIDTH
+        )
         if step == passes - 1 or steady:
             refined = _solved(
                 *looked, narrow, image.shape, camera, lattice, prior, rotation, translation_mm, before, afresh, parity

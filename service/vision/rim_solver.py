@@ -161,7 +161,7 @@ def _equations(
 
 @compiled
 def _factor(A: Array) -> None:
-    """Cholesky's factors in place of the lower halves of (SIZE, SIZE, n), diagonals inverted; NaN where not positive."""
+    """Cholesky's factors in place of the lower halves, their diagonals inverted; NaN where one is not positive."""
     n = A.shape[2]
     for p in range(SIZE):
         for q in range(p + 1):

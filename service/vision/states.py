@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 __all__ = ["tube_states"]
 
+UNKNOWN, OPEN, PLUGGED, ABSENT = (np.uint8(s) for s in TubeState)
+
 NEARBY = 3.0
 """How far, in rows and columns, the open tubes may stand that a place is compared with."""
 LEAST_NEARBY = 3
@@ -33,39 +35,36 @@ RELIEF = 0.22
 
 def tube_states(sites: Sites, rims: Rims, used: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """State of each place, (n,) uint8 of `TubeState`; UNKNOWN where it is too dark or covered to tell."""
-    state = np.where(used, TubeState.OPEN, TubeState.UNKNOWN).astype(np.uint8)
-    if not used.any():
-        return state
-    faint = used & (rims.gain < FAINT * median_of(rims.gain[used]))
-    rest = np.flatnonzero((~used | faint) & (rims.rays > 0))
-    if not len(rest):
-        return state
-    gain, bore = np.empty(len(rest)), np.empty(len(rest))
-    _neighbours(sites.row, sites.column, used, rims.gain.copy(), rims.bore.copy(), rest, gain, bore)
-    mean = rims.mean[rest]
-    height = np.where(gain > 0, gain, np.inf)
-    inside = (rims.bore[rest] - bore) / height
-    step = (rims.outside[rest] - rims.bore[rest]) / height
-    relief = (mean.max(axis=1) - mean.min(axis=1)) / height
-    told, shows_rim = gain > 0, faint[rest] | (relief >= RELIEF)
-    state[rest[told & (inside < DARK) & (step > BRIGHT * DARK)]] = TubeState.OPEN
-    state[rest[told & (inside > BRIGHT) & shows_rim]] = TubeState.PLUGGED
-    state[rest[told & (inside > BRIGHT) & ~shows_rim]] = TubeState.ABSENT
+    state = np.where(used, OPEN, UNKNOWN)
+    if used.any():
+        faint = FAINT * median_of(rims.gain[used])
+        _tell(
+            sites.row, sites.column, used, rims.rays, rims.gain, rims.bore, rims.outside, rims.mean, faint, state
+        )  # fmt: skip
     return state
 
 
 @compiled
-def _neighbours(
-    row: NDArray[np.int64], column: NDArray[np.int64], used: NDArray[np.bool_], gain: Array, bore: Array,
-    which: NDArray[np.int64], near_gain: Array, near_bore: Array,
+def _tell(
+    row: NDArray[np.int64], column: NDArray[np.int64], used: NDArray[np.bool_], rays: Array, gain: Array, bore: Array,
+    outside: Array, mean: Array, faint: float, state: NDArray[np.uint8],
 ) -> None:  # fmt: skip
-    """Mean edge height and bore level of the open tubes about each place; a negative height where there are too few."""
-    for j in range(which.shape[0]):
-        i, n, g, b = which[j], 0, 0.0, 0.0
+    """States of the places that were not used, or whose edge is faint, beside the open tubes nearby."""
+    for i in range(row.shape[0]):
+        if rays[i] <= 0.0 or (used[i] and gain[i] >= faint):
+            continue
+        n, height, dark = 0, 0.0, 0.0
         for k in range(row.shape[0]):
             if used[k] and abs(row[k] - row[i]) <= NEARBY and abs(column[k] - column[i]) <= NEARBY:
-                g += gain[k]
-                b += bore[k]
+                height += gain[k]
+                dark += bore[k]
                 n += 1
-        near_gain[j] = g / n if n >= LEAST_NEARBY else -1.0
-        near_bore[j] = b / n if n >= LEAST_NEARBY else 0.0
+        if n < LEAST_NEARBY or height <= 0.0:
+            continue
+        height, dark = height / n, dark / n
+        inside, step = (bore[i] - dark) / height, (outside[i] - bore[i]) / height
+        if inside < DARK and step > BRIGHT * DARK:
+            state[i] = OPEN
+        elif inside > BRIGHT:
+            shows_rim = (used[i] and gain[i] < faint) or np.ptp(mean[i]) / height >= RELIEF
+            state[i] = PLUGGED if shows_rim else ABSENT

@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.acquire import candidates
+from service.vision.compiled import median_of
 from service.vision.edges import start_profile
 from service.vision.evidence import CONTRADICTION, SUSPICIOUS, PlaceMap
 from service.vision.lock import LEAST_TUBES, MOST_STRAY, Proof, prove
 from service.vision.motion import Motion, aligned, centred, looked_at
 from service.vision.pose import prior_of
-from service.vision.refinement import refine
+from service.vision.projection import project
+from service.vision.refinement import approach, refine
 from service.vision.search import search_shift
 from service.vision.working import WorkingCamera
 
@@ -50,6 +52,12 @@ UNSEEN_S = 0.1
 """Time without a pose beyond which the sheet's travel counts."""
 AFRESH = 5
 """So many pictures in which what changes slowly is found anew once; odd, so that both fields have their turn."""
+GUIDES = 24
+"""Tubes that a prediction is brought near with, spread over the picture; a pose from as many is good to a tenth px."""
+CALM = 0.1
+"""Edge widths that a prediction may have been off for the next one to be good enough as it is."""
+NEAR = 1.3
+"""Edge widths that a prediction may have been off for the next one to lie within reach of the learnt profile."""
 SMOOTH = 0.2
 """How fast the running figures follow a new picture."""
 
@@ -91,6 +99,8 @@ class Tracker:
         self._working = WorkingCamera.of(camera, lattice)
         self._common: Common | None = None
         self._pictures = 0
+        self._guides_mm = np.zeros((0, 2))
+        self._stray_px = math.inf
         self._radius_px: float | None = None
         self._share = 0.0
         self._doubt = False
@@ -161,12 +171,19 @@ class Tracker:
         if self.motion is None or self._common is None or self._radius_px is None:
             return None
         prior = prior_of(known, start.focal_length_mm)
-        rotation, translation = self.motion.at(time_ns)
+        rotation, translation = predicted = self.motion.at(time_ns)
+        if self._stray_px > CALM * self._common.profile.width_px:
+            near = self._stray_px < NEAR * self._common.profile.width_px
+            rotation, translation = approach(
+                image, start, self.lattice, *predicted, self._guides_mm, self._common.profile, near=near
+            )
+            watch.lap("detect")
         refined = refine(
             image, start, self.lattice, prior, rotation, translation, self._common.profile, passes=TRACK_PASSES,
             watch=watch, before=self._common, afresh=self._pictures % AFRESH == 0, parity=parity,
         )  # fmt: skip
         if not self._holds(refined):
+            rotation, translation = predicted
             shifted = search_shift(image, start.vector(), rotation, translation, self.lattice)
             wide = start_profile(START_WIDTH * self._radius_px)
             watch.lap("detect")
@@ -177,8 +194,15 @@ class Tracker:
         if refined is None or not self._holds(refined):
             return None
         fit = self._working.pose(refined)
-        off = looked_at(fit.rotation, fit.translation_mm) - looked_at(rotation, translation)
+        off = looked_at(fit.rotation, fit.translation_mm) - looked_at(*predicted)
+        self._stray_px = self._strayed_px(start, predicted, fit)
         return Seen(refined, None, float(np.hypot(*off)) / self.lattice.pitch_mm)
+
+    def _strayed_px(self, camera: Camera, predicted: tuple[Array, Array], fit: Fit) -> float:
+        """How far the prediction was off, px, in the middle of the guides."""
+        v = camera.vector()
+        off = project(v, *predicted, self._guides_mm) - project(v, fit.rotation, fit.translation_mm, self._guides_mm)
+        return median_of(np.hypot(off[:, 0], off[:, 1]))
 
     def _holds(self, refined: Refined | None) -> bool:
         """Whether a tracked pose shows enough of its tubes, where the last one did."""
@@ -229,5 +253,7 @@ class Tracker:
         share = float(refined.used.mean())
         self._share += (SMOOTH if self._share else 1.0) * (share - self._share)
         self._common = refined.common
+        clear = np.flatnonzero(refined.used & (refined.rims.strength >= median_of(refined.rims.strength[refined.used])))
+        self._guides_mm = refined.sites.sheet_mm[clear[:: math.ceil(len(clear) / GUIDES)]]
         depth = float(fit.rotation[2, :2] @ anchor + fit.translation_mm[2])
         self._radius_px = self.lattice.rim_radius_mm * float(fit.camera.vector()[0]) / depth
