@@ -16,11 +16,13 @@ import numpy as np
 from service.vision.compiled import compiled
 from service.vision.edges import INNER, OUTER, SAMPLES
 from service.vision.projection import project_point
+from service.vision.scratch import SINGLE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from service.vision.edges import EdgeProfile
+    from service.vision.scratch import Scratch
 
     Array: TypeAlias = NDArray[np.float64]
     Single: TypeAlias = NDArray[np.float32]
@@ -83,7 +85,7 @@ def rays_for(circumference_px: float) -> int:
 
 def sample_rays(
     image: Image, vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array, radius_mm: float,
-    profile: EdgeProfile, functionals: NDArray[np.float32], count: int,
+    profile: EdgeProfile, functionals: NDArray[np.float32], count: int, scratch: Scratch,
 ) -> Rays:  # fmt: skip
     """Sample along the normals of projected circles, bilinear.
 
@@ -101,11 +103,13 @@ def sample_rays(
         (BASIS + 1, SAMPLES): what samples are multiplied with; the last row weighs their squares.
     count
         Rays a circle, a multiple of four.
+    scratch
+        Lends the memory for what is told of single rays.
     """
     n = len(sheet_mm)
     rays = Rays(
-        numbers=np.empty((NUMBERS, count, n), np.float32), direction=np.empty((2, count, n), np.float32),
-        valid=np.empty((count, n), np.float32), center_px=np.empty((n, 2)), mean=np.empty((n, SAMPLES)),
+        numbers=scratch.array((NUMBERS, count, n), SINGLE), direction=scratch.array((2, count, n), SINGLE),
+        valid=scratch.array((count, n), SINGLE), center_px=np.empty((n, 2)), mean=np.empty((n, SAMPLES)),
         level=np.empty(n),
     )  # fmt: skip
     _sample(

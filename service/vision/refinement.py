@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.compiled import median_of
+from service.vision.compiled import compiled, median_in_place, median_of
 from service.vision.edges import EdgeProfile, start_profile
 from service.vision.pose import NO_PRIOR, Fit, fit_pose, linearise
 from service.vision.rims import Rims, measure_rims
@@ -257,8 +257,23 @@ def projected(camera: Camera, rotation: Array, translation_mm: Array, sheet_mm: 
 
 def accepted(rims: Rims, width_px: float, usual_radius_px: float | None = None) -> NDArray[np.bool_]:
     """Tubes whose edge is clear, whole enough, of the usual size (that of the others) and where it may be."""
-    clear = (rims.strength > LEAST_STRENGTH) & (rims.rays > LEAST_RAYS)
-    if usual_radius_px is None:
-        usual_radius_px = median_of(rims.radius_px[clear]) if clear.any() else 0.0
-    right_size = np.abs(rims.radius_px - usual_radius_px) < width_px
-    return np.asarray(clear & right_size & (np.hypot(rims.shift_px[:, 0], rims.shift_px[:, 1]) < 2 * width_px))
+    usual = math.nan if usual_radius_px is None else usual_radius_px
+    return _accepted(rims.strength, rims.rays, rims.radius_px, rims.shift_px, width_px, usual)
+
+
+@compiled
+def _accepted(
+    strength: Array, rays: Array, radius: Array, shift: Array, width: float, usual: float
+) -> NDArray[np.bool_]:
+    n = strength.shape[0]
+    out, work, m = np.zeros(n, np.bool_), np.empty(n), 0
+    for i in range(n):
+        if strength[i] > LEAST_STRENGTH and rays[i] > LEAST_RAYS:
+            work[m] = radius[i]
+            out[i], m = True, m + 1
+    if m and math.isnan(usual):
+        usual = median_in_place(work, m)
+    for i in range(n):
+        off = shift[i, 0] * shift[i, 0] + shift[i, 1] * shift[i, 1]
+        out[i] = out[i] and abs(radius[i] - usual) < width and off < 4.0 * width * width
+    return out

@@ -19,9 +19,14 @@ from service.vision.compiled import compiled, sort_columns
 from service.vision.edges import SAMPLES
 from service.vision.rays import BASIS, ENERGY
 from service.vision.rim_levels import COVARIANCE, COVERED, HEIGHT, INNER_LEVEL, RADIUS, SHIFT, STRENGTH
+from service.vision.scratch import DOUBLE, SINGLE
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from service.vision.rays import Rays
+    from service.vision.scratch import Scratch
+    from service.vision.shapes import Shapes
 
     Array: TypeAlias = NDArray[np.float64]
     Single: TypeAlias = NDArray[np.float32]
@@ -50,28 +55,35 @@ ONE, TWO, NOTHING = np.float32(1.0), np.float32(2.0), np.float32(0.0)
 PER_SAMPLE = np.float32(1.0 / SAMPLES)
 
 
-@compiled
-def solve(
-    numbers: Single, direction: Single, valid: Single, first: Array, information: Array, basis: Array, prior: Array,
-    expected: Array, noise: float, told: Array,
-) -> None:  # fmt: skip
+def solve(seen: Rays, shapes: Shapes, noise: float, told: Array, scratch: Scratch) -> None:
     """Shift, radius and covariance of each tube, into `told`, that of `rim_levels.levels`.
 
     Parameters
     ----------
-    numbers, direction, valid
-        Of `rays.Rays`.
-    first, information, basis, prior, expected
-        Of `shapes.Shapes`.
     noise
         Error of a sample one px long, grey.
+    scratch
+        Lends the memory for the equations.
     """
+    count, n = seen.valid.shape
+    _solve(
+        seen.numbers, seen.direction, seen.valid, shapes.first, shapes.information, shapes.basis, shapes.prior,
+        shapes.expected, noise, told, scratch.array((BASIS, count, n), SINGLE),
+        scratch.array((3, count, n), SINGLE), scratch.array((SIZE, SIZE, n), DOUBLE),
+    )  # fmt: skip
+
+
+@compiled
+def _solve(
+    numbers: Single, direction: Single, valid: Single, first: Array, information: Array, basis: Array, prior: Array,
+    expected: Array, noise: float, told: Array, z: Single, of_rays: Single, A: Array,
+) -> None:  # fmt: skip
     count, n = valid.shape
     precision, usual = np.empty(n, np.float32), np.empty(n, np.float32)
     straying, counted = np.empty((BASIS, n), np.float32), np.empty((BASIS, n), np.float32)
-    z, energy = np.empty((BASIS, count, n), np.float32), np.empty((count, n), np.float32)
-    weight, misfit = valid.copy(), np.empty((count, n), np.float32)
-    sums, A, x = np.empty((6 + SIZE, n), np.float32), np.empty((SIZE, SIZE, n)), np.empty((SIZE, n))
+    energy, weight, misfit = of_rays[0], of_rays[1], of_rays[2]
+    weight[:] = valid
+    sums, x = np.empty((6 + SIZE, n), np.float32), np.empty((SIZE, n))
     _in_edge_heights(numbers, first, information, noise, told, precision, straying, counted, z, energy)
     for step in range(ROUNDS):
         _sum(direction, weight, z, sums)

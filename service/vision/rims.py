@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from service.vision.compiled import compiled
 from service.vision.edges import profile_of
 from service.vision.light import SLOPE_REACH, light_slopes
 from service.vision.rays import rays_for, sample_rays
@@ -37,6 +38,7 @@ from service.vision.rim_levels import (
 )  # fmt: skip
 from service.vision.rim_search import find
 from service.vision.rim_solver import solve
+from service.vision.scratch import borrowed
 from service.vision.shapes import shapes_of
 
 if TYPE_CHECKING:
@@ -44,6 +46,7 @@ if TYPE_CHECKING:
 
     from service.vision.edges import EdgeProfile
     from service.vision.lattice import Lattice
+    from service.vision.scratch import Scratch
 
     Array: TypeAlias = NDArray[np.float64]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
@@ -129,37 +132,60 @@ def measure_rims(
     rays
         Rays a tube, a multiple of four; by default as many as the rim's size deserves.
     """
+    with borrowed() as scratch:
+        return _measured(image, vector, rotation, translation_mm, sheet_mm, lattice, profile, rays, scratch)
+
+
+def _measured(
+    image: Image, vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array, lattice: Lattice,
+    profile: EdgeProfile, rays: int | None, scratch: Scratch,
+) -> Rims:  # fmt: skip
+    """The same with memory to work in."""
     n, aspect = len(sheet_mm), float(vector[0] / vector[1])
     scale = _px_per_mm(vector, rotation, translation_mm, sheet_mm)
     count = rays or rays_for(2 * math.pi * lattice.rim_radius_mm * scale)
     functionals, shapes = shapes_of(profile, (lattice.outer_radius_mm - lattice.rim_radius_mm) * scale)
     seen = sample_rays(
-        image, vector, rotation, translation_mm, sheet_mm, lattice.rim_radius_mm, profile, functionals, count
+        image, vector, rotation, translation_mm, sheet_mm, lattice.rim_radius_mm, profile, functionals, count, scratch
     )
     told = np.zeros((FIGURES, n))
     noise = levels(seen.numbers, seen.valid, shapes.first, shapes.edge, told)
     if profile.learnt:
-        solve(
-            seen.numbers, seen.direction, seen.valid, shapes.first, shapes.information, shapes.basis, shapes.prior,
-            shapes.expected, noise * NOISE_SCALE, told,
-        )  # fmt: skip
+        solve(seen, shapes, noise * NOISE_SCALE, told, scratch)
     else:
         reach = REACH * profile.width_px
         find(seen.numbers, seen.direction, seen.valid, shapes.first, shapes.edge, shapes.moved, reach, told)
-    slope = np.zeros((n, 2))
+    light = np.zeros((n, 2))
     light_slopes(
         seen.center_px, aspect, told[HEIGHT], told[STRENGTH], SLOPE_REACH * lattice.pitch_mm * scale,
-        lattice.rim_radius_mm * scale, slope,
+        lattice.rim_radius_mm * scale, light,
     )  # fmt: skip
-    light = slope * [profile.width_px, profile.width_px / aspect]
-    shift = told[SHIFT : SHIFT + 2].T / [1.0, aspect]
-    shift += (LIGHT_SHIFT + LIGHT_BLUR * max(0.0, profile.width_px - SHARP_PX)) * light
+    center, shift, covariance = _placed(seen.center_px, aspect, profile.width_px, told, seen.level, light)
     return Rims(
-        center_px=seen.center_px + shift, shift_px=shift, radius_px=told[RADIUS],
-        covariance_px=told[COVARIANCE : COVARIANCE + 3].T / [1.0, aspect, aspect * aspect], gain=told[HEIGHT],
-        bore=told[INNER_LEVEL] + seen.level, outside=told[OUTER_LEVEL] + seen.level, strength=told[STRENGTH],
-        rays=told[COVERED], light_px=light, mean=seen.mean, looked=profile,
+        center_px=center, shift_px=shift, radius_px=told[RADIUS], covariance_px=covariance, gain=told[HEIGHT],
+        bore=told[INNER_LEVEL], outside=told[OUTER_LEVEL], strength=told[STRENGTH], rays=told[COVERED], light_px=light,
+        mean=seen.mean, looked=profile,
     )  # fmt: skip
+
+
+@compiled
+def _placed(
+    predicted: Array, aspect: float, width: float, told: Array, level: Array, light: Array
+) -> tuple[Array, Array, Array]:
+    """Centres, shifts and covariances in px of the picture; levels and light, in place, in grey and px."""
+    n = level.shape[0]
+    center, shift, covariance = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 3))
+    per_axis, by_light = (1.0, 1.0 / aspect), LIGHT_SHIFT + LIGHT_BLUR * max(0.0, width - SHARP_PX)
+    for i in range(n):
+        told[INNER_LEVEL, i] += level[i]
+        told[OUTER_LEVEL, i] += level[i]
+        for k in range(2):
+            light[i, k] *= width * per_axis[k]
+            shift[i, k] = told[SHIFT + k, i] * per_axis[k] + by_light * light[i, k]
+            center[i, k] = predicted[i, k] + shift[i, k]
+        for k in range(3):
+            covariance[i, k] = told[COVARIANCE + k, i] / aspect**k
+    return center, shift, covariance
 
 
 def _px_per_mm(vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array) -> float:

@@ -56,19 +56,15 @@ def sites_in_picture(
     vector: Array, rotation: Array, translation_mm: Array, lattice: Lattice, size_px: tuple[int, int], margin_px: float
 ) -> Sites:
     """Lattice places whose centre lies in the picture, or within `margin_px` of it (negative: at least that far in)."""
-    basis = lattice.basis_mm
-    row, column = _sites(
-        vector, rotation, translation_mm, basis, np.ascontiguousarray(np.linalg.inv(basis)), size_px[0], size_px[1],
-        margin_px,
-    )  # fmt: skip
-    return Sites(row, column, lattice.sheet_points(row, column))
+    return Sites(*_sites(vector, rotation, translation_mm, lattice.basis_mm, size_px[0], size_px[1], margin_px))
 
 
 @compiled
 def _bounds(
-    v: Array, R: Array, t: Array, inverse_basis: Array, width: int, height: int, margin: float
+    v: Array, R: Array, t: Array, basis: Array, width: int, height: int, margin: float
 ) -> tuple[int, int, int, int]:
     """Least and greatest row and column that the picture's border looks at."""
+    det = basis[0, 0] * basis[1, 1] - basis[0, 1] * basis[1, 0]
     middle_depth = math.nan
     low_r, high_r, low_c, high_c = math.inf, -math.inf, math.inf, -math.inf
     mid_r, mid_c = 0.0, 0.0
@@ -94,7 +90,7 @@ def _bounds(
         dx, dy, dz = u * depth - t[0], w * depth - t[1], depth - t[2]
         X = R[0, 0] * dx + R[1, 0] * dy + R[2, 0] * dz
         Y = R[0, 1] * dx + R[1, 1] * dy + R[2, 1] * dz
-        c, r = X * inverse_basis[0, 0] + Y * inverse_basis[1, 0], X * inverse_basis[0, 1] + Y * inverse_basis[1, 1]
+        c, r = (X * basis[1, 1] - Y * basis[1, 0]) / det, (Y * basis[0, 0] - X * basis[0, 1]) / det
         if k == 0:
             mid_r, mid_c = r, c
         low_r, high_r, low_c, high_c = min(low_r, r), max(high_r, r), min(low_c, c), max(high_c, c)
@@ -108,15 +104,16 @@ def _bounds(
 
 @compiled
 def _sites(
-    v: Array, R: Array, t: Array, basis: Array, inverse_basis: Array, width: int, height: int, margin: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    r0, r1, c0, c1 = _bounds(v, R, t, inverse_basis, width, height, max(margin, 0.0))
+    v: Array, R: Array, t: Array, basis: Array, width: int, height: int, margin: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
+    r0, r1, c0, c1 = _bounds(v, R, t, basis, width, height, max(margin, 0.0))
     most = max(0, (r1 - r0) * (c1 - c0))
-    row, column, n = np.empty(most, np.int64), np.empty(most, np.int64), 0
+    row, column, sheet, n = np.empty(most, np.int64), np.empty(most, np.int64), np.empty((most, 2)), 0
     for r in range(r0, r1):
         for c in range(c0, c1):
-            x, y = project_point(v, R, t, c * basis[0, 0] + r * basis[1, 0], c * basis[0, 1] + r * basis[1, 1], 0.0)
+            X, Y = c * basis[0, 0] + r * basis[1, 0], c * basis[0, 1] + r * basis[1, 1]
+            x, y = project_point(v, R, t, X, Y, 0.0)
             if -margin - 0.5 <= x <= width - 0.5 + margin and -margin - 0.5 <= y <= height - 0.5 + margin:
-                row[n], column[n] = r, c
+                row[n], column[n], sheet[n, 0], sheet[n, 1] = r, c, X, Y
                 n += 1
-    return row[:n].copy(), column[:n].copy()
+    return row[:n].copy(), column[:n].copy(), sheet[:n].copy()
