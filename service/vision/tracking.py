@@ -54,7 +54,7 @@ AFRESH = 5
 """So many pictures in which what changes slowly is found anew once; odd, so that both fields have their turn."""
 GUIDES = 24
 """Tubes that a prediction is brought near with, spread over the picture; a pose from as many is good to a tenth px."""
-CALM = 0.1
+CALM = 0.13
 """Edge widths that a prediction may have been off for the next one to be good enough as it is."""
 NEAR = 1.3
 """Edge widths that a prediction may have been off for the next one to lie within reach of the learnt profile."""
