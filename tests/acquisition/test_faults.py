@@ -1,7 +1,8 @@
 """Whatever a device does wrong, the ledger balances after it and agrees with the device's own account."""
 
-import gc
-import logging
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -64,26 +65,16 @@ def test_any_mixture_is_accounted_for(seed):
     assert health.recoveries > 5
 
 
-def test_a_thousand_replugs_leave_nothing_behind(caplog):
-    caplog.set_level(logging.CRITICAL, "service")  # some thousand records are kept by the test's own machinery
-    cycles, apart = 1000, 6
-    faults = [Fault(FaultKind.DISCONNECT, apart * (i + 1), seconds=0.7) for i in range(cycles)]
-    seen = []
-
-    def sample():
-        gc.collect()
-        seen.append(resources())
-
-    played(*faults[:50], frames=apart * 50)
-    sample()
-    _, health, _ = played(*faults, frames=apart * (cycles + 1))
-    sample()
-    assert health.recoveries == cycles
-    assert health.generation >= cycles + 1
-    before, after = seen
-    assert after.fds <= before.fds  # fewer, where what an earlier test left behind is collected meanwhile
-    assert after.threads <= before.threads
-    assert after.rss_bytes - before.rss_bytes < 4 * 2**20
+@pytest.mark.slow
+@pytest.mark.parametrize(("leak_bytes", "status"), [(0, 0), (10_000, 1)])
+def test_a_thousand_replugs_leave_nothing_behind_and_what_they_left_would_be_found(leak_bytes, status):
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.bench.replugs", "--leak", str(leak_bytes)],
+        check=False, capture_output=True, text=True, cwd=Path(__file__).parents[2],
+    )  # fmt: skip
+    assert done.returncode == status, done.stdout + done.stderr
+    assert "1,000 replugs" in done.stdout
+    assert "files +0, threads +0" in done.stdout
 
 
 def test_resources_that_the_system_does_not_tell_are_unknown(tmp_path):

@@ -54,8 +54,11 @@ def tiny_scene(**options):
     return default_scene(GENERATORS["model-f"], rng, size_px=(32, 24), frames=LOOP_FRAMES - 1, look=CLEAN, **options)
 
 
-def run(faults: tuple[Fault, ...], frames: int, *, settings=None, patience_s=PATIENCE_S, **options):
-    """Let a device with these faults expose so many frames; gives the grabber, the service's account and events."""
+def run(faults: tuple[Fault, ...], frames: int, *, settings=None, patience_s=PATIENCE_S, tell=None, **options):
+    """Let a device with these faults expose so many frames; gives the grabber, the service's account and events.
+
+    With `tell`, that gets the events, and none are kept.
+    """
     grabber = CountingGrabber(tiny_scene(), frames, faults=faults, clock=ManualClock(), **options)
     events = []
     service = LiveService(
@@ -63,7 +66,7 @@ def run(faults: tuple[Fault, ...], frames: int, *, settings=None, patience_s=PAT
         lambda _: FakeMeasurer(),
         supervision=Supervision(settings or SupervisionSettings()),
         oldest_s=1.0,
-        tell=lambda *event: events.append(event),
+        tell=tell or (lambda *event: events.append(event)),
     )
     with service:
         service.start()
