@@ -39,6 +39,10 @@ class Measurer(Protocol):
         """Measure a picture: one answer, or two (top and bottom) for an interlaced one."""
         ...
 
+    def settle_index(self, index: int, shift: tuple[int, int] | None) -> bool:
+        """Trust a lattice index that is in doubt; see `Tracker.settle_index`."""
+        ...
+
     def reset(self) -> None:
         """Forget what earlier pictures showed."""
         ...
@@ -135,6 +139,7 @@ class FrameMeasurer:
                 names, alignment = interpreter.read(result.measurement, frame.generation, fresh=fresh)
                 outside = {**(result.outside or {}), **interpreter.chosen} or None
                 results[i] = replace(result, names=names, alignment=alignment, outside=outside)
+                interpreter.settle_index(self._measurer)
         except Exception as error:  # noqa: BLE001 - as above: the measurement itself is sound
             said = f"{type(error).__name__}: {error}"
             self._log.warning("interpret", f"{frame.source}: frame {frame.sequence} could not be judged: {said}", error)

@@ -130,8 +130,8 @@ class Aligner:
     def _bound(self, measurement: Measurement, generation: int) -> Target:
         """The target; a lattice place that was given before the first index belongs to that one."""
         target = self.target
-        if target.place is not None and target.generation is None and measurement.pose is not None:
-            self.target = target = replace(target, generation=generation)
+        if measurement.pose is not None and (bound := target.bound(generation, measurement.index)) is not target:
+            self.target = target = bound
         self.used = target
         return target
 
@@ -149,9 +149,11 @@ class Aligner:
         if target.name is not None:
             return _place_named(target.name, named, measurement)
         if target.place is not None:
-            same = target.generation == generation
-            gone = f"place {target} was that of a tube before the source was reopened", Help.TARGET
-            return (target.place, None) if same else (None, gone)
+            if target.generation != generation:
+                return None, (f"place {target} was that of a tube before the source was reopened", Help.TARGET)
+            if target.index != measurement.index and Doubt.INDEX not in measurement.doubt:
+                return None, (f"place {target} was chosen in another lattice index, which was in doubt", Help.TARGET)
+            return target.place, None
         assert measurement.pose is not None, "checked"
         foot = guide_foot(measurement.pose, self.settings.geometry.guide)
         if foot is None:

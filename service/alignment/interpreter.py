@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from service.alignment.aligner import Aligner
     from service.alignment.result import Alignment
     from service.identity.anchors import NamedLattice
-    from service.identity.namer import TubeNamer
+    from service.identity.namer import IndexSettler, TubeNamer
     from service.vision.measurement import Measurement, Tubes
 
 __all__ = ["Interpreter"]
@@ -55,8 +55,11 @@ class Interpreter:
         named = self.namer.update(measurement, generation)
         self.chosen = {}
         if self.namer.taken is not None:
-            anchors, known = self.namer.taken
-            self.chosen = {"anchors": [str(anchor) for anchor in anchors], "generation": known}
+            taken = self.namer.taken
+            anchors = [str(anchor) for anchor in taken.anchors]
+            self.chosen = {"anchors": anchors, "generation": taken.generation, "index": taken.index}
+            if self.namer.begins_anew:
+                self.chosen["begins_anew"] = True
         names: Sequence[str | None] = () if named is None else self._texts(named, measurement.tubes)
         if self.aligner is None:
             return names, None
@@ -65,6 +68,10 @@ class Interpreter:
         if before is not None and not self.aligner.used.continues(before):
             self.chosen["target"] = self.aligner.used.to_dict()
         return names, alignment
+
+    def settle_index(self, settler: IndexSettler) -> None:
+        """Have a lattice index trusted that an anchor settled with the last picture, where one did."""
+        self.namer.settle_index(settler)
 
     def _texts(self, named: NamedLattice, tubes: Tubes) -> Sequence[str | None]:
         """Names in words; those that were told before are kept, as most tubes are in the next picture too."""

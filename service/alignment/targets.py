@@ -37,22 +37,33 @@ class Target:
         By its name: holds as long as an anchor names tubes.
     place
         By its lattice (row, column): holds as long as that index does.
-    generation
-        Of the index that `place` belongs to; None: the first there is.
+    generation, index
+        Of the source, and of the lattice index in it, that `place` belongs to; None: the first there is.
     """
 
     name: TubeName | None = None
     place: tuple[int, int] | None = None
     generation: int | None = None
+    index: int | None = None
 
     def continues(self, before: Target) -> bool:
         """Whether it is what it was before, at most bound to its lattice index since."""
-        return self == before or (before.generation is None and replace(self, generation=None) == before)
+        generation = None if before.generation is None else self.generation
+        index = None if before.index is None else self.index
+        return replace(self, generation=generation, index=index) == before
+
+    def bound(self, generation: int, index: int) -> Target:
+        """A place that belongs to the first index there is, where that is this one."""
+        if self.place is None or None not in (self.generation, self.index):
+            return self
+        known = generation if self.generation is None else self.generation
+        return replace(self, generation=known, index=index if self.index is None else self.index)
 
     def to_dict(self) -> dict[str, Any]:
         """In JSON's own types."""
         place = None if self.place is None else list(self.place)
-        return {"name": None if self.name is None else str(self.name), "place": place, "generation": self.generation}
+        name = None if self.name is None else str(self.name)
+        return {"name": name, "place": place, "generation": self.generation, "index": self.index}
 
     def __str__(self) -> str:
         if self.place is not None:

@@ -48,7 +48,7 @@ class Help(enum.StrEnum):
     ALIGN_SETUP = "measure the guide again: bowlsight align-setup"
     PITCH = "give the pitch more exactly"
     ANCHOR = "anchor a tube"
-    INDEX = "move back to where the index was certain, or start anew and anchor a tube"
+    INDEX = "move back to where the index was certain, or anchor a tube"
     TARGET = "choose the target again"
     SOURCE = "check the video source"
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import math
 import threading
 import time
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from drivers.errors import ConfigError
 from service.acquisition.cross_check import CrossCheck
@@ -38,8 +39,10 @@ if TYPE_CHECKING:
     from service.acquisition.liveness import Liveness
     from service.acquisition.recovery import Supervision
     from service.cli.recording import RecordingChoice
+    from service.cli.viewing import Viewing
     from service.config.generators import SteamGenerator
     from service.config.station import MeasuringSettings, ViewerSettings
+    from service.console.watched import Tell
     from service.identity.counting import NamingRule
     from service.sinks.base import Sink
     from service.sinks.session.recorder import SessionRecorder
@@ -111,18 +114,15 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
     viewing = make_viewing(args, live.viewer, live.generator, live.kind, live.grabber.name)
     recorder, served = _recorder(live, args), Served()
     interpreter = live.interpreter or Interpreter(TubeNamer(_rule(live)), None)
-    console = make_console(args, live, interpreter, viewing, recorder, served)
+    tell = _teller(viewing, recorder)
+    interpreter.namer.tell = functools.partial(tell, kind="names")
+    console = make_console(args, live, interpreter, viewing, recorder, served, tell)
 
     def prepare(grabber: Grabber) -> None:
         if live.prepare is not None:
             live.prepare(grabber)
         if recorder is not None:
             recorder.note_device(grabber)
-
-    def tell(text: str, level: str) -> None:
-        viewing.event(text, level)
-        if recorder is not None:
-            recorder.event(text, level, kind="source")
 
     calibrating = calibration_sink(live.camera, live.generator.lattice, args.calibrate, tell)
     service = LiveService(
@@ -167,6 +167,17 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
     if calibrating is not None:
         print(f"calibration: {calibrating.progress}")
     return _conclude(service, recorder, ended_by, time.monotonic() - began_s)
+
+
+def _teller(viewing: Viewing, recorder: SessionRecorder | None) -> Tell:
+    """What passes events on to the viewer and to the session's record; of the source, where no other kind is named."""
+
+    def tell(text: str, level: str, *, kind: str = "source", **more: Any) -> None:
+        viewing.event(text, level)
+        if recorder is not None:
+            recorder.event(text, level, kind=kind, **more)
+
+    return tell
 
 
 def _rule(live: LiveRun) -> NamingRule:

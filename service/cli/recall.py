@@ -52,7 +52,8 @@ class RecalledInterpreter(Interpreter):
         """As `Interpreter.read`, after what was chosen then."""
         rule = self.namer.rule
         if (chosen := self._anchors.at(measurement)) is not None:
-            self.namer.anchor([parse_anchor(text, rule) for text in chosen["anchors"]], chosen["generation"])
+            anchors = [parse_anchor(text, rule) for text in chosen["anchors"]]
+            self.namer.anchor(anchors, chosen["generation"], chosen.get("index", measurement.index))
         if (chosen := self._targets.at(measurement)) is not None and self.aligner is not None:
             self.aligner.target = _target(chosen["target"], rule)
         return super().read(measurement, generation, fresh=fresh)
@@ -64,6 +65,7 @@ def _target(values: Mapping[str, Any], rule: NamingRule) -> Target:
         name=None if name is None else rule.parse(name),
         place=None if place is None else (place[0], place[1]),
         generation=values["generation"],
+        index=values.get("index"),
     )
 
 

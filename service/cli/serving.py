@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from service.acquisition.liveness import Liveness
 from service.console.watched import About, RefusedError, SourceStatus
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from service.cli.live import LiveRun
     from service.cli.viewing import Viewing
     from service.console.console import Console
+    from service.console.watched import Tell
     from service.results import FrameResult
     from service.sinks.session.recorder import SessionRecorder
 
@@ -74,17 +75,13 @@ def make_console(
     viewing: Viewing,
     recorder: SessionRecorder | None,
     served: Served,
+    tell: Tell,
 ) -> Console | None:
     """Make the page that the options and the station ask for; nothing is started."""
     if args.no_console or not live.console.enabled:
         return None
     # the server takes a third of a second to import: only where it serves
     from service.console.console import Console  # noqa: PLC0415
-
-    def tell(text: str, level: str, *, kind: str, **more: Any) -> None:
-        viewing.event(text, level)
-        if recorder is not None:
-            recorder.event(text, level, kind=kind, **more)
 
     about = About(
         kind=str(live.kind),

@@ -83,13 +83,13 @@ class Command:
 
 LOGIN: Final[Mapping[str, Argument]] = {"token": Argument("string", required=True, most=200)}
 OPERATOR = {"operator": Argument("string")}
-AT = {"generation": Argument("integer", most=GENERATION)}
+AT = {"generation": Argument("integer", most=GENERATION), "index": Argument("integer", most=GENERATION)}
 
 COMMANDS: Final[Mapping[str, Command]] = {
     "target": Command(
         "choose the tube to align to: nearest, a name, or a lattice place ROW,COLUMN",
         {"tube": Argument("string", required=True, least=1), **AT, **OPERATOR},
-        lambda o, a: {"target": o.choose(a["tube"], a["generation"], a["operator"] or "")},
+        lambda o, a: {"target": o.choose(a["tube"], a["generation"], a["operator"] or "", a["index"])},
     ),
     "anchor": Command(
         "name the tube at a lattice place, and thereby all others",
@@ -101,7 +101,7 @@ COMMANDS: Final[Mapping[str, Command]] = {
             **OPERATOR,
         },
         lambda o, a: {
-            "anchor": o.anchor(a["row"], a["column"], a["name"], a["generation"], a["operator"] or ""),
+            "anchor": o.anchor(a["row"], a["column"], a["name"], a["generation"], a["operator"] or "", a["index"]),
         },
     ),
     "acknowledge": Command(

@@ -67,6 +67,7 @@ def frame_head(result: FrameResult, rule: NamingRule, target: tuple[int, int] | 
     return {
         "sequence": result.sequence,
         "generation": result.generation,
+        "index": m.index,
         "field": m.field,
         "lock": str(m.lock),
         "why": why(m),

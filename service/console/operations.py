@@ -52,7 +52,7 @@ class Operations:
         self._recorder, self._clock, self._tell = recorder, clock, tell
         self._rule = interpreter.namer.rule
         self._unaligned = NEAREST  # the target where there is no guide to align: a tube to keep in sight
-        self._generation: int | None = None
+        self._present: tuple[int, int] | None = None
 
     # -- what is chosen ----------------------------------------------------------------------------------------------
 
@@ -64,16 +64,19 @@ class Operations:
 
     def follow(self, result: FrameResult) -> None:
         """Take note of a frame: what is asked from now on is asked of its lattice."""
-        self._generation = result.generation
+        reopened = self._present is None or self._present[0] != result.generation
+        if reopened or result.measurement.pose is not None:
+            self._present = result.generation, result.measurement.index
 
     def place_in(self, result: FrameResult) -> tuple[int, int] | None:
         """Lattice place of the target in a frame; None where it has none."""
         if result.alignment is not None:
             return result.alignment.place
         target, named = self.target, self._interpreter.namer.named
+        index = result.generation, result.measurement.index
         if target.place is not None:
-            return target.place if target.generation == result.generation else None
-        if target.name is None or named is None or named.generation != result.generation:
+            return target.place if (target.generation, target.index) == index else None
+        if target.name is None or named is None or (named.generation, named.index) != index:
             return None
         try:
             return named.place_of(target.name)
@@ -88,14 +91,15 @@ class Operations:
 
     # -- commands ----------------------------------------------------------------------------------------------------
 
-    def choose(self, tube: str, generation: int | None, operator: str) -> str:
-        """Choose the target, by "nearest", name or place "ROW,COLUMN" of the lattice shown in `generation`."""
+    def choose(self, tube: str, generation: int | None, operator: str, index: int | None = None) -> str:
+        """Choose the target: "nearest", a name, or a place "ROW,COLUMN" of a picture's generation and lattice index."""
         try:
             target = parse_target(tube, self._rule)
         except NamingError as error:
             raise RefusedError(str(error)) from None
         if target.place is not None:
-            target = replace(target, generation=self._present(generation))
+            generation, index = self._shown(generation, index)
+            target = replace(target, generation=generation, index=index)
         aligner = self._interpreter.aligner
         if aligner is None:
             self._unaligned = target
@@ -104,25 +108,29 @@ class Operations:
         self._told(f"target is {target}", operator, target=str(target), generation=target.generation)
         return str(target)
 
-    def anchor(self, row: int, column: int, name: str, generation: int | None, operator: str) -> str:
-        """Name the tube at a lattice place, and thereby all others."""
+    def anchor(
+        self, row: int, column: int, name: str, generation: int | None, operator: str, index: int | None = None
+    ) -> str:
+        """Name the tube at a lattice place, and thereby all others; an index that is in doubt is settled by it."""
         try:
             anchor = Anchor(row, column, self._rule.parse(name))
             check_anchors(self._rule, [anchor])
         except NamingError as error:
             raise RefusedError(str(error)) from None
-        present = self._present(generation)
-        self._interpreter.namer.anchor([anchor], present)
-        self._told(f"anchor {anchor}", operator, anchors=[str(anchor)], generation=present)
+        generation, index = self._shown(generation, index)
+        self._interpreter.namer.anchor([anchor], generation, index)
+        self._told(f"anchor {anchor}", operator, anchors=[str(anchor)], generation=generation)
         return str(anchor)
 
-    def _present(self, generation: int | None) -> int:
-        """The generation, where it is that of the picture shown."""
-        if self._generation is None:
+    def _shown(self, generation: int | None, index: int | None) -> tuple[int, int]:
+        """Generation and lattice index of the picture shown, where they are those asked for."""
+        if self._present is None:
             raise RefusedError("there is no picture yet; wait for one")
-        if generation not in (None, self._generation):
+        if generation not in (None, self._present[0]):
             raise RefusedError("the source was reopened since that picture: its places are other tubes; choose again")
-        return self._generation
+        if index not in (None, self._present[1]):
+            raise RefusedError("the lattice index may have slipped since that picture; choose again")
+        return self._present
 
     def acknowledge(self, key: str | None, operator: str) -> bool:
         """Note that an alarm was seen, or with None all."""

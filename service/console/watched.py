@@ -52,8 +52,8 @@ class SourceStatus:
 class Tell(Protocol):
     """Who is told of what happens at the station."""
 
-    def __call__(self, text: str, level: str, *, kind: str, **more: Any) -> None:
-        """Take note, at once: in words, INFO or WARN, "alarm" or "operator", and in figures what it was."""
+    def __call__(self, text: str, level: str, *, kind: str = "source", **more: Any) -> None:
+        """Take note, at once: in words, INFO, WARN or ERROR, of which kind, and in figures what it was."""
         ...
 
 

@@ -58,14 +58,15 @@ class NamedLattice:
         How they follow.
     anchors
         What they rest on.
-    generation
-        The epoch of the lattice index they belong to: of another epoch, they name nothing.
+    generation, index
+        The lattice index that they belong to, which begins with a generation of the source: another they do not name.
     """
 
     rule: NamingRule
     counting: Counting
     anchors: tuple[Anchor, ...]
     generation: int
+    index: int = 0
 
     def name_of(self, row: int, column: int) -> TubeName | None:
         """The name of a lattice place; None where the plant counts no tube (numbers below 1)."""
@@ -93,6 +94,7 @@ def settle(
     anchors: Sequence[Anchor],
     camera_from_sheet: NDArray[np.float64],
     generation: int,
+    index: int = 0,
 ) -> NamedLattice:
     """Name the whole lattice from what is known of some places.
 
@@ -106,6 +108,8 @@ def settle(
         At least one.
     camera_from_sheet
         (3, 3) rotation, when the anchors were set.
+    generation, index
+        See `NamedLattice`.
 
     Raises
     ------
@@ -120,7 +124,7 @@ def settle(
             f"anchor {anchors[0]}: the picture is turned so far against [identity] rows_grow that {len(ways)} ways to"
             " count fit it; anchor another tube as well"
         )
-    return NamedLattice(rule, ways[0], tuple(anchors), generation)
+    return NamedLattice(rule, ways[0], tuple(anchors), generation, index)
 
 
 def check_anchors(rule: NamingRule, anchors: Sequence[Anchor]) -> Sequence[Counting]:

@@ -45,7 +45,7 @@ class Digest:
     losses
         What is missing.
     sheets
-        By generation.
+        One for each count of tubes: by generation, and how often an anchor began the lattice index anew.
     problems
         What could not be read, in words.
     """
@@ -59,7 +59,7 @@ class Digest:
     locks: Counter[str] = field(default_factory=Counter)
     verdicts: Counter[str] = field(default_factory=Counter)
     losses: Losses = field(default_factory=Losses)
-    sheets: dict[int, Sheet] = field(default_factory=dict)
+    sheets: dict[tuple[int, int], Sheet] = field(default_factory=dict)
     problems: Counter[str] = field(default_factory=Counter)
 
     @property
@@ -108,18 +108,19 @@ def _read_frames(session: RecordedSession, digest: Digest, steps: Steps) -> None
 
 
 def _read_answers(session: RecordedSession, digest: Digest, steps: Steps, progress: Callable[[int, int], None]) -> None:
-    wall_ns, generation = steps.began_ns, 1
+    wall_ns, generation, anew = steps.began_ns, 1, 0
     for done, answered in enumerate(session.answers(), 1):
         if answered.row is not None:  # one that the recorder lost is as old as the one before
             wall_ns, generation = answered.row.wall_ns, answered.row.generation
         if answered.problem is not None:
             digest.problems[answered.problem] += 1
         for line in answered.lines:
-            _take(digest, line, steps.at(wall_ns), wall_ns, generation)
+            _take(digest, line, steps.at(wall_ns), wall_ns, (generation, anew))
+        anew += answered.last_of_index
         progress(done, digest.counts.measured)
 
 
-def _take(digest: Digest, line: Mapping[str, Any], step: int, wall_ns: int, generation: int) -> None:
+def _take(digest: Digest, line: Mapping[str, Any], step: int, wall_ns: int, count: tuple[int, int]) -> None:
     """Take one result line."""
     assert digest.lock is not None, "there are frames"
     assert digest.verdict is not None, "there are frames"
@@ -132,7 +133,7 @@ def _take(digest: Digest, line: Mapping[str, Any], step: int, wall_ns: int, gene
     for name, value in _figures(pose, alignment).items():
         digest.figures[name].add(step, value)
     if pose is not None:
-        sheet = digest.sheets.setdefault(generation, Sheet(generation))
+        sheet = digest.sheets.setdefault(count, Sheet(len(digest.sheets) + 1))
         sheet.add(step, wall_ns, line)
 
 

@@ -81,7 +81,7 @@ def overview(sheet: Sheet, rule: NamingRule) -> Html | None:
 
     approximate = "; it is APPROXIMATE, and hatched" if known.approximate else ""
     caption = f"On the map {known.name}{approximate}. Drawn as tubes are numbered, not as they are seen from the bowl."
-    return drawn(f"map{sheet.generation}", caption, WIDTH_IN * 0.57, draw)
+    return drawn(f"map{sheet.number}", caption, WIDTH_IN * 0.57, draw)
 
 
 def _hatch(ax: Axes, known: TubesheetMap) -> None:

@@ -143,10 +143,11 @@ def _plans(digest: Digest, station: Station | None) -> Html:
     most = sorted(digest.sheets.values(), key=lambda sheet: -sheet.pictures)[:MOST_SHEETS]
     rule = station.identity.rule(station.generator)
     drawn: list[Html | None] = []
-    for sheet in sorted(most, key=lambda sheet: sheet.generation):
+    for sheet in sorted(most, key=lambda sheet: sheet.number):
         drawn += [plan(sheet, station.generator.lattice), overview(sheet, rule)]
     note = (
-        "Each time the source was reopened, counting of rows and columns began anew: such plans have nothing in common."
+        "Each time the source was reopened, or an anchor settled an index of which nothing was known, counting of rows"
+        " and columns began anew: such plans have nothing in common."
     )
     more = element("p", note) if len(digest.sheets) > 1 else None
     return section("Tubesheet", more, *drawn)

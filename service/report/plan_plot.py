@@ -62,7 +62,7 @@ def plan(sheet: Sheet, lattice: Lattice) -> Html:
         axes[0].set_ylabel("Y, mm")
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=4, frameon=False)
 
-    return drawn(f"plan{sheet.generation}", _caption(sheet), 4.4 if len(probe) else WIDTH_IN, draw)
+    return drawn(f"plan{sheet.number}", _caption(sheet), 4.4 if len(probe) else WIDTH_IN, draw)
 
 
 def _around(points: Points, tracks: Points) -> tuple[Points, Points]:

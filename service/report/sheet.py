@@ -67,12 +67,12 @@ class Tube:
 
 @dataclass(slots=True)
 class Sheet:
-    """The sheet as one count of tubes has it: reopening the source begins another.
+    """The sheet as one count of tubes has it: reopening the source begins another, and so may an anchor.
 
     Attributes
     ----------
-    generation
-        The source's.
+    number
+        From 1 on, in the order of time.
     tubes
         By lattice place (row, column).
     camera_mm, seen_mm, probe_mm
@@ -84,7 +84,7 @@ class Sheet:
         With a pose.
     """
 
-    generation: int
+    number: int
     tubes: dict[tuple[int, int], Tube] = field(default_factory=dict)
     camera_mm: dict[int, Point] = field(default_factory=dict)
     seen_mm: dict[int, Point] = field(default_factory=dict)

@@ -172,6 +172,9 @@ class Measurement:
         What each stage took: "detect", "lattice", "pose", ..., "total".
     view
         What the rims themselves said; None without a pose.
+    index
+        Number of the lattice index of `tubes`: in pictures of the same one, a place is the same tube. One that is in
+        doubt has a number of its own, and where it is found to be right, or mended, the number it had before.
     """
 
     field: str
@@ -183,3 +186,4 @@ class Measurement:
     time_ns: int
     elapsed_ms: dict[str, float] = dataclass_field(default_factory=dict)
     view: View | None = None
+    index: int = 0

@@ -72,6 +72,10 @@ class Measurer:
         self._time_ns: int | None = None
         self._period_ns = USUAL_PERIOD_NS
 
+    def settle_index(self, index: int, shift: tuple[int, int] | None) -> bool:
+        """See `Tracker.settle_index`; holds from the next picture on."""
+        return self._tracker.settle_index(index, shift)
+
     def measure(self, pixels: Image, time_ns: int, field: str = "unknown") -> list[Measurement]:
         """Measure a picture.
 
@@ -162,7 +166,7 @@ class Measurer:
         lock = Lock.PARTIAL if doubt else Lock.FULL
         watch.lap("pose")
         view = View.of(found.refined)
-        return Measurement(name, lock, None, doubt, tubes, pose, time_ns, watch.elapsed_ms(), view)
+        return Measurement(name, lock, None, doubt, tubes, pose, time_ns, watch.elapsed_ms(), view, found.index)
 
 
 def doubts(seen: Seen, refined: Refined, pose: Pose, lattice: Lattice, stale: bool) -> tuple[Doubt, ...]:

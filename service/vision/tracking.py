@@ -76,12 +76,15 @@ class Seen:
         How far from its expected place the sheet was found, in pitches; NaN where nothing was expected.
     index_in_doubt
         Whether the index may have slipped, and nothing has shown yet that it has not.
+    index
+        Its number, see `Measurement`.
     """
 
     refined: Refined | None
     reason: str | None
     gap: float
     index_in_doubt: bool = False
+    index: int = 0
 
 
 class Tracker:
@@ -103,7 +106,7 @@ class Tracker:
         self._stray_px = math.inf
         self._radius_px: float | None = None
         self._share = 0.0
-        self._doubt = False
+        self._index = self._trusted = self._numbered = 0
         self._map = PlaceMap(lattice)
 
     def copy(self) -> Tracker:
@@ -136,10 +139,50 @@ class Tracker:
         if seen.refined is None:
             return seen
         if self.motion is not None and self._may_have_slipped(seen.gap, time_ns):
-            self._doubt = True
+            self._doubt_index()
         refined = self._settled(seen.refined)
         self.follow(refined, time_ns)
-        return replace(seen, refined=refined, index_in_doubt=self._doubt)
+        return replace(seen, refined=refined, index_in_doubt=self._doubt, index=self._index)
+
+    @property
+    def _doubt(self) -> bool:
+        return self._index != self._trusted
+
+    def _doubt_index(self) -> None:
+        """Take the index for another one, until it is known to be what it was."""
+        self._numbered += 1
+        self._index = self._numbered
+
+    def settle_index(self, index: int, shift: tuple[int, int] | None) -> bool:
+        """Take somebody's word for an index that is in doubt; what the map knows is held against nothing any more.
+
+        Parameters
+        ----------
+        index
+            The one that is meant; where it is not the present one, or not in doubt, nothing is done.
+        shift
+            By how many rows and columns its places are less than in the index trusted last; None: that is not known,
+            and this one is trusted in place of it.
+
+        Returns
+        -------
+        bool
+            Whether it was done.
+        """
+        if index != self._index or not self._doubt:
+            return False
+        if shift is None:
+            self._trusted = index
+        else:
+            self._index = self._trusted
+            self._relabel(*shift)
+        self._map = PlaceMap(self.lattice)
+        return True
+
+    def _relabel(self, rows: int, columns: int) -> None:
+        """Go on with places that are so many rows and columns more."""
+        step = self.lattice.sheet_points(np.array([rows]), np.array([columns]))[0]
+        self.motion = None if self.motion is None else self.motion.relabelled(step)
 
     def _may_have_slipped(self, gap: float, time_ns: int) -> bool:
         """Whether the sheet moved so far, unexpected or unseen, that a neighbouring tube may be taken for it."""
@@ -153,13 +196,13 @@ class Tracker:
         self._pictures += 1
         fit = self._map.fit(refined)
         verdict = self._map.compare(refined) if self._doubt or fit < SUSPICIOUS else None
-        self._doubt = self._doubt or fit < CONTRADICTION
+        if fit < CONTRADICTION and not self._doubt:
+            self._doubt_index()
         if verdict is not None and verdict.decisive:
-            self._doubt = False
+            self._index = self._trusted
             if verdict.slipped:
                 refined = refined.shifted(verdict.row, verdict.column, self.lattice)
-                step = self.lattice.sheet_points(np.array([verdict.row]), np.array([verdict.column]))[0]
-                self.motion = None if self.motion is None else self.motion.relabelled(step)
+                self._relabel(verdict.row, verdict.column)
         if not self._doubt:
             self._map.learn(refined)
         return refined

@@ -57,6 +57,9 @@ class ScriptedInterpreter:
     def __init__(self, error=None):
         self.error, self.seen, self.chosen = error, [], {}
 
+    def settle_index(self, settler):
+        pass
+
     def read(self, measurement, generation, *, fresh=True):
         self.seen.append((measurement.field, generation, fresh))
         if self.error:

@@ -99,8 +99,9 @@ def test_a_place_of_another_index_is_another_tube():
     m, geometry = view()
     aligner = aligner_for(geometry, parse_target("1,2", RULE))
     assert aligner.update(m, None, 0, generation=1).verdict is Verdict.ALIGNED
-    found = aligner.update(m, None, 0, generation=2)
-    assert (found.verdict, found.judgement.helps) == (Verdict.CANNOT_JUDGE, (Help.TARGET,))
+    for other, generation in ((replace(m, index=1), 1), (m, 2)):
+        found = aligner.update(other, None, 0, generation=generation)
+        assert (found.verdict, found.judgement.helps) == (Verdict.CANNOT_JUDGE, (Help.TARGET,))
 
 
 def test_a_tube_that_an_exact_map_does_not_have_is_no_target_and_an_approximate_one_only_marks_it():

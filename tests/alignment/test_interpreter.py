@@ -45,7 +45,7 @@ def test_a_reopened_source_has_no_names_until_it_is_anchored_again():
     interpreter.read(m, 1)
     names, alignment = interpreter.read(replace(m, time_ns=FRAME_NS), 2)
     assert (list(names), alignment.verdict, alignment.parallelism.frames) == ([], Verdict.CANNOT_JUDGE, 1)
-    interpreter.namer.anchor([Anchor(0, 0, RULE.parse("L83R87"))], 2)
+    interpreter.namer.anchor([Anchor(0, 0, RULE.parse("L83R87"))], 2, 0)
     assert interpreter.read(replace(m, time_ns=2 * FRAME_NS), 2)[1].verdict is Verdict.ALIGNED
 
 

@@ -20,17 +20,21 @@ from service.acquisition.cross_check import CrossCheck
 from service.acquisition.measuring import FrameMeasurer
 from service.acquisition.readings import InstrumentReadings
 from service.acquisition.slot import FrameQueue
-from service.alignment.targets import Target, parse_anchor
+from service.alignment.targets import Target
 from service.cli.again import measured_as_recorded
 from service.cli.interpreting import interpreter_for
 from service.config.recording import RecordingSettings
 from service.config.station import read_station
+from service.identity.anchors import Anchor
+from service.identity.names import TubeName
+from service.report.digest import read_digest
 from service.sinks.session.comparison import Comparison
 from service.sinks.session.configuration import configuration
 from service.sinks.session.plan import RecordingPlan
 from service.sinks.session.reader import SessionEnd, open_session
 from service.sinks.session.recorder import SessionRecorder
 from service.sinks.session.verification import verify_session
+from service.vision.measurement import Doubt
 from service.vision.paper import assumed_camera
 from service.vision.process import Measurer
 
@@ -42,6 +46,10 @@ VIDEOS = [
     ("w1_Delta60_hard_speckle_640x480.avi", "delta60"),
 ]
 GUIDE = "mouth_mm = [5, -4, 600]\naxis = [0.01, -0.01, 1]\naxis_sigma_deg = 0.1\npoint_sigma_mm = 0.1\n"
+
+
+def tube(rule, number):
+    return TubeName(rule.naming, number, number)
 
 
 def station(folder: Path, generator: str) -> Path:
@@ -66,12 +74,26 @@ def as_a_live_source_gives_them(video: Path, count: int):
             yield replace(frame, generation=again, defect=bad, received_ns=time.monotonic_ns()), k % 4 != 3
 
 
-def record(video: Path, folder: Path, generator: str, count: int) -> Path:
-    """Measure and record these frames as the live service does, without its threads."""
+def with_a_leap(video: Path, before: int, after: int, leap_to: int):
+    """All frames of a source that leaps in the midst, as a looped video does."""
+    with ReplayGrabber(video, speed=math.inf) as grabber:
+        grabber.start()
+        frames = [f for k, f in enumerate(itertools.islice(grabber, leap_to + after)) if k < before or k >= leap_to]
+    times_ns = [f.timestamp_ns for f in frames[:2]]
+    for k, frame in enumerate(frames):
+        time_ns = times_ns[0] + k * (times_ns[1] - times_ns[0])
+        yield replace(frame, sequence=k, generation=1, timestamp_ns=time_ns, received_ns=time.monotonic_ns()), True
+
+
+def record_frames(frames_measured, folder: Path, generator: str, do, anchor_from_start=True) -> Path:
+    """Measure and record these frames as the live service does, without its threads.
+
+    Before each frame, `do` gets its sequence number, the interpreter, and the last result.
+    """
     path = station(folder, generator)
     s = read_station(path)
     rule = s.identity.rule(s.generator)
-    anchor = ["0,0=L20R20" if s.generator.naming == "line-row" else "0,0=ROW20 COL20"]
+    anchor = [f"0,0={tube(rule, 20)}"] if anchor_from_start else []
     plan = RecordingPlan(
         RecordingSettings(enabled=True, folder=folder / "sessions", keep_free_mib=0),
         "REPLAY", generator, configuration(path), rule, anchor,
@@ -82,24 +104,35 @@ def record(video: Path, folder: Path, generator: str, count: int) -> Path:
     said = argparse.Namespace(anchor=anchor, target=None)
     distances = map(float, itertools.count(900))
     interpreter = interpreter_for(said, s.identity, s.alignment, s.generator)
-    measurer = None
+    measurer = last = None
     recorder.start()
-    for frame, measured in as_a_live_source_gives_them(video, count):
+    for frame, measured in frames_measured:
         if measurer is None:
             vision = Measurer(assumed_camera(frame.size_px), s.generator.lattice, time.perf_counter_ns)
             check = CrossCheck(lambda: InstrumentReadings(distance_mm=next(distances), distance_sigma_mm=1.0))
             measurer = FrameMeasurer(vision, None, SystemClock(), interpreter, check)
         frames.offer(frame)
-        if frame.sequence == count // 4:  # as operators do, in the midst of it
-            interpreter.aligner.target = Target(place=(1, 1), generation=1)
-        elif frame.sequence == count // 2:
-            interpreter.namer.anchor([parse_anchor(anchor[0].replace("0,0", "1,-2"), rule)], 1)
+        do(frame.sequence, interpreter, last)
         if measured:
-            recorder.accept(frame, measurer.answer(frame)[0])
+            results = measurer.answer(frame)[0]
+            recorder.accept(frame, results)
+            last = results[-1]
     frames.close()
     recorder.close(60.0)
     (session,) = (folder / "sessions").iterdir()
     return session
+
+
+def record(video: Path, folder: Path, generator: str, count: int) -> Path:
+    """Record with all that befalls a live source, and with what operators do in the midst of it."""
+
+    def do(sequence, interpreter, _):
+        if sequence == count // 4:
+            interpreter.aligner.target = Target(place=(1, 1), generation=1)
+        elif sequence == count // 2:
+            interpreter.namer.anchor([Anchor(1, -2, tube(interpreter.namer.rule, 20))], 1, 0)
+
+    return record_frames(as_a_live_source_gives_them(video, count), folder, generator, do)
 
 
 @pytest.mark.parametrize(("video", "generator"), VIDEOS)
@@ -120,6 +153,43 @@ def test_skipped_bad_and_reopened_frames_are_measured_again_to_the_last_bit(shar
         comparison.accept(frame, results)
     assert comparison.same, comparison.lines()
     assert comparison.equal == session.counts().measured == count - count // 4
+
+
+@pytest.mark.parametrize(("video", "generator", "leap_to"), [(*VIDEOS[0], 100), (*VIDEOS[1], 100)])
+@pytest.mark.parametrize("anchored", [True, False])
+def test_an_anchor_settles_an_index_that_came_into_doubt_then_as_again(
+    shared, tmp_path, video, generator, leap_to, anchored
+):
+    leap, anchor, end = 12, 16, 24
+    told = []
+
+    def do(sequence, interpreter, last):
+        interpreter.namer.tell = lambda text, level: told.append(text)
+        if sequence == anchor:
+            assert Doubt.INDEX in last.measurement.doubt
+            tubes = last.measurement.tubes
+            place = int(tubes.row[3]), int(tubes.column[3])
+            name = tube(interpreter.namer.rule, 30)
+            interpreter.namer.anchor([Anchor(*place, name)], 1, last.measurement.index)
+
+    frames = with_a_leap(shared / "bowl" / "videos" / video, leap, end - leap, leap_to)
+    session = open_session(record_frames(frames, tmp_path, generator, do, anchor_from_start=anchored))
+    by_frame = [answered.lines for answered in session.answers()]
+    doubted = [any("index" in line["doubt"] for line in lines) for lines in by_frame]
+    named = [any(t["name"] for line in lines for t in line["tubes"]) for lines in by_frame]
+    assert doubted == [leap <= k <= anchor for k in range(end)]
+    assert named == [(anchored and k < leap) or k > anchor for k in range(end)]
+    assert len(told) == 1
+    assert ("had slipped by" in told[0]) == anchored
+    assert [answered.last_of_index for answered in session.answers()].count(True) == (not anchored)
+    sheets = read_digest(session).sheets.values()
+    assert sum(sheet.pictures for sheet in sheets) == sum(map(len, by_frame))
+    assert len(sheets) == (1 if anchored else 2)
+    comparison = Comparison(session)
+    for frame, results in measured_as_recorded(session):
+        comparison.accept(frame, results)
+    assert comparison.same, comparison.lines()
+    assert comparison.equal == end
 
 
 def recorded_until(root: Path, measured: int, process: subprocess.Popen, seconds: float = 300.0) -> Path:

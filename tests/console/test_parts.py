@@ -172,6 +172,22 @@ def test_a_place_belongs_to_the_pictures_it_was_chosen_in():
     assert station.told == ["target is 1,1, by A"]
 
 
+def test_a_place_belongs_to_the_lattice_index_it_was_chosen_in():
+    station = FakeStation()
+    frame, result = made_up()
+    station.show(frame, result)
+    assert frame_head(station.latest, RULE, None)["index"] == 0
+    station.operations.choose("1,1", 1, "", 0)
+    slipped = replace(result, measurement=replace(result.measurement, index=3))
+    station.show(frame, slipped)
+    assert station.operations.place_in(slipped) is None
+    with pytest.raises(RefusedError, match="may have slipped"):
+        station.operations.choose("1,1", 1, "", 0)
+    with pytest.raises(RefusedError, match="may have slipped"):
+        station.operations.anchor(0, 0, "ROW12 COL34", 1, "", 0)
+    assert station.operations.anchor(0, 0, "ROW12 COL34", 1, "", 3) == "0,0=ROW12 COL34"
+
+
 def test_a_name_is_a_place_once_an_anchor_says_so():
     station = FakeStation()
     station.show(*made_up())

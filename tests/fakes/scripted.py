@@ -118,6 +118,9 @@ class FakeMeasurer:
         self.calls.append((pixels.shape, time_ns, field))
         return self.answer()
 
+    def settle_index(self, index, shift):
+        return True
+
     def reset(self):
         self.resets += 1
 

@@ -14,7 +14,7 @@ from service.identity.namer import TubeNamer
 from service.identity.names import NamingError, TubeName
 from service.vision.lattice import Arrangement, Lattice
 from service.vision.measurement import Doubt, Lock
-from tests.fakes.results import make_measurement
+from tests.fakes.results import make_measurement, make_pose
 
 places = st.tuples(st.integers(-60, 60), st.integers(-60, 60))
 SYSTEM80 = NamingRule(Naming.LINE_ROW, load_generator("system80").lattice)
@@ -212,30 +212,93 @@ class TestTubeNamer:
         assert namer.update(make_measurement(), 2) is None
         assert "dropped" in namer.problem
         assert namer.update(make_measurement(), 2) is None
-        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6"))], 2)
+        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6"))], 2, 0)
         assert str(namer.update(make_measurement(), 2).name_of(0, 0)) == "ROW5 COL6"
         assert namer.problem is None
 
     def test_an_anchor_read_from_an_earlier_index_comes_too_late(self):
         namer = self.namer()
-        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6"))], 1)
+        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6"))], 1, 0)
         assert namer.update(make_measurement(), 2) is None
         assert "too late" in namer.problem
 
     def test_an_anchor_that_cannot_be_takes_the_old_one_with_it_and_says_why(self):
         namer = self.namer((0, "R30C60"))
         namer.update(make_measurement(), 1)
-        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6")), Anchor(0, 1, namer.rule.parse("R9C9"))], 1)
+        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6")), Anchor(0, 1, namer.rule.parse("R9C9"))], 1, 0)
         assert namer.update(make_measurement(), 1) is None
         assert "no way to count" in namer.problem
 
-    def test_an_anchor_read_while_the_index_is_in_doubt_is_not_taken_and_says_so(self):
+    def doubtful(self, index):
+        return replace(make_measurement(Lock.PARTIAL, doubt=(Doubt.INDEX,)), index=index)
+
+    def test_an_anchor_read_before_the_index_came_into_doubt_is_not_taken_and_says_so(self):
         namer = self.namer((0, "R30C60"))
         named = namer.update(make_measurement(), 1)
-        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6"))], 1)
-        assert namer.update(make_measurement(Lock.PARTIAL, doubt=(Doubt.INDEX,)), 1) is None
-        assert "ROW5 COL6 is not taken: the lattice index is in doubt" in namer.problem
+        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6"))], 1, 0)
+        assert namer.update(self.doubtful(1), 1) is None
+        assert "came too late: the lattice index may have slipped" in namer.problem
+        assert namer.taken is None
         assert namer.update(make_measurement(), 1) is named  # the slip was mended: what was anchored before holds
-        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6"))], 1)
+        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6"))], 1, 0)
         assert str(namer.update(make_measurement(), 1).name_of(0, 0)) == "ROW5 COL6"
         assert namer.problem is None
+
+    def test_an_anchor_from_the_start_waits_for_an_index_that_is_not_in_doubt(self):
+        namer, settler = self.namer((0, "R30C60")), Settler()
+        assert namer.update(self.doubtful(1), 1) is None
+        namer.settle_index(settler)
+        assert settler.asked == []
+        assert namer.update(make_measurement(), 1) is not None
+
+    @pytest.mark.parametrize(("row", "column", "slip"), [(2, 3, (-2, -1)), (0, 2, (0, 0))])
+    def test_in_doubt_an_anchor_tells_how_far_the_index_slipped_and_the_names_hold(self, row, column, slip):
+        namer, settler, said = self.namer((0, "R30C60")), Settler(), []
+        namer.tell = lambda *event: said.append(event)
+        named = namer.update(make_measurement(), 1)
+        assert namer.update(self.doubtful(7), 1) is None
+        namer.anchor([Anchor(row, column, namer.rule.parse("R30C62"))], 1, 7)
+        assert namer.update(self.doubtful(7), 1) is None  # its doubt is told already
+        namer.settle_index(settler)
+        assert settler.asked == [(7, slip)]
+        assert not namer.begins_anew
+        assert namer.update(make_measurement(), 1) is named
+        namer.settle_index(settler)
+        assert settler.asked == [(7, slip)]
+        (text, level), expected = said[0], "had not slipped" if slip == (0, 0) else "had slipped by -2, -1"
+        assert (level, expected in text, len(said)) == ("INFO", True, 1)
+
+    @pytest.mark.parametrize("before", [[(0, "R30C60")], []])
+    def test_where_nothing_tells_how_far_it_slipped_names_begin_anew_and_it_is_told_which_are_dropped(self, before):
+        namer, settler, said = self.namer(*before), Settler(), []
+        namer.tell = lambda *event: said.append(event)
+        namer.update(make_measurement(), 1)
+        turned = replace(self.doubtful(7), pose=make_pose())
+        turned = replace(turned, pose=replace(turned.pose, rotation=rolled(90)))
+        namer.anchor([Anchor(4, 4, namer.rule.parse("R12C34"))], 1, 7)
+        assert namer.update(turned, 1) is None
+        namer.settle_index(settler)
+        assert settler.asked == [(7, None)]
+        assert namer.begins_anew
+        assert str(namer.update(replace(make_measurement(), index=7), 1).name_of(4, 4)) == "ROW12 COL34"
+        assert namer.update(make_measurement(), 1) is None  # the index that was dropped
+        ((text, level),) = said
+        assert level == "WARN"
+        assert ("dropped: 0,0=ROW30 COL60" in text) == bool(before)
+
+    def test_an_anchor_whose_index_slipped_in_the_same_frame_names_nothing(self):
+        namer = self.namer()
+        namer.anchor([Anchor(0, 0, namer.rule.parse("R5C6"))], 1, 7)
+        namer.update(self.doubtful(7), 1)
+        namer.settle_index(Settler(taken=False))
+        assert namer.named is None
+        assert "came too late" in namer.problem
+
+
+class Settler:
+    def __init__(self, *, taken=True):
+        self.asked, self._taken = [], taken
+
+    def settle_index(self, index, shift):
+        self.asked.append((index, shift))
+        return self._taken

@@ -146,7 +146,7 @@ async function tell(name, body, done) {
 const chosen = (tube) => tube.name ?? `row ${tube.row}, column ${tube.column}`;
 
 function chooseTube(tube) {
-  tell("target", { tube: `${tube.row},${tube.column}`, generation: tube.generation }, `target is ${chosen(tube)}`);
+  tell("target", { tube: `${tube.row},${tube.column}`, generation: tube.generation, index: tube.index }, `target is ${chosen(tube)}`);
 }
 
 function askAnchor(tube) {
@@ -154,7 +154,7 @@ function askAnchor(tube) {
   ask("Anchor", `Which tube is it that the picture has at row ${tube.row}, column ${tube.column}? All others get their names from it.`,
     [{ name: "name", label: "its name", value: tube.name ?? "", hint: readouts.said.naming === "line-row" ? "L83R87" : "ROW12 COL34", required: true }],
     "Anchor", async ({ name }) => {
-      const done = await command("anchor", { row: tube.row, column: tube.column, name, generation: tube.generation, operator: operator() });
+      const done = await command("anchor", { row: tube.row, column: tube.column, name, generation: tube.generation, index: tube.index, operator: operator() });
       say(`anchor ${done.anchor}`);
     });
 }
@@ -170,7 +170,7 @@ function setAnchoring(on) {
 function targetTube() {
   if (!shown?.target) return null;
   const [row, column] = shown.target;
-  return { row, column, name: shown.names?.[`${row},${column}`] ?? null, generation: shown.generation };
+  return { row, column, name: shown.names?.[`${row},${column}`] ?? null, generation: shown.generation, index: shown.index };
 }
 
 const DO = {

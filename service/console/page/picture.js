@@ -199,7 +199,7 @@ export class Picture {
 
   #tube(i) {
     const { head, marks } = this.#shown, [row, column] = [marks[i + 7], marks[i + 8]];
-    return { row, column, kind: KINDS[marks[i + 6]], name: head.names?.[`${row},${column}`] ?? null, generation: head.generation };
+    return { row, column, kind: KINDS[marks[i + 6]], name: head.names?.[`${row},${column}`] ?? null, generation: head.generation, index: head.index };
   }
 }
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import enum
 import json
 import zlib
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drivers.checked_lines import read_checked
 from drivers.errors import ConfigError
-from drivers.session_index import INDEX, Closed, Evidence, Fault, Header, Measured, Overflow, Row, read_index
+from drivers.session_index import INDEX, Closed, Evidence, Fault, Header, Measured, Outside, Overflow, Row, read_index
 from drivers.session_replay import recorded_pixels
 from service.sinks.evidence import RECORDS, read_records
 from service.sinks.session.about import file_sha256, read_about
@@ -78,11 +78,14 @@ class Answered:
         Its result lines as they were written, one, or two for interlaced video; see `docs/formats.md`.
     problem
         None, or in words what is wrong with these lines; then there are none.
+    last_of_index
+        Whether an anchor set here began the lattice index anew: after it, places are those of other tubes.
     """
 
     row: Row | None
     lines: Sequence[Mapping[str, Any]]
     problem: str | None = None
+    last_of_index: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -151,15 +154,19 @@ class RecordedSession:
     def answers(self) -> Iterator[Answered]:
         """Give every measured frame with its results, in the order of measuring."""
         rows: dict[int, Row] = {}
+        last_of_index = False
         with (self.folder / RESULTS).open("rb") as log:
             for item in self.index():
                 if isinstance(item, Row):
                     rows[item.number] = item
+                elif isinstance(item, Outside):
+                    last_of_index = last_of_index or "begins_anew" in item.values
                 elif isinstance(item, Measured):
                     row = None if item.number is None else rows.get(item.number)
                     rows = {number: r for number, r in rows.items() if item.number is None or number > item.number}
                     log.seek(item.lines_at)
-                    yield _answered(row, log.read(item.lines_bytes), item)
+                    yield replace(_answered(row, log.read(item.lines_bytes), item), last_of_index=last_of_index)
+                    last_of_index = False
 
     def results(self) -> Iterator[Mapping[str, Any]]:
         """Give all result lines that are sound."""
