@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from drivers.frame import Field, Frame
     from drivers.grabber import FrameFormat, Grabber
     from service.acquisition.cross_check import CrossCheck
+    from service.acquisition.liveness import Shown
     from service.acquisition.measuring import Measurer
     from service.acquisition.recovery import Supervision
     from service.acquisition.slot import HandOver
@@ -237,6 +238,11 @@ class LiveService:
     def input(self) -> str:
         """Name of the input in use, once open."""
         return self._acquisition.input
+
+    @property
+    def shown(self) -> Shown:
+        """What the picture is worth now."""
+        return self._acquisition.shown()
 
     def health(self) -> Health:
         """How it is doing now."""

@@ -11,13 +11,15 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 from drivers.errors import ConfigError
+from service.acquisition.alarms import AlarmWatch
 from service.acquisition.cross_check import CrossCheck
 from service.acquisition.live import STOP_S, LiveService
+from service.alignment.desk import AlarmDesk
 from service.alignment.interpreter import Interpreter
 from service.cli.calibrating import calibration_sink
 from service.cli.inputs import fitting_camera
 from service.cli.keys import pressed_keys
-from service.cli.recording import KEYS, make_recorder, on_key, recorded_lines
+from service.cli.recording import keys_offered, make_recorder, on_key, recorded_lines
 from service.cli.reporting import Reporting
 from service.cli.serving import Served, make_console
 from service.cli.status import status_parts, summary_lines
@@ -34,15 +36,16 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Sequence
 
-    from drivers.grabber import FrameFormat, Grabber
+    from drivers.grabber import Clock, FrameFormat, Grabber
     from service.acquisition.instruments import Instruments
     from service.acquisition.liveness import Liveness
     from service.acquisition.recovery import Supervision
+    from service.alignment.desk import Tell
+    from service.alignment.result import Alignment
     from service.cli.recording import RecordingChoice
     from service.cli.viewing import Viewing
     from service.config.generators import SteamGenerator
     from service.config.station import MeasuringSettings, ViewerSettings
-    from service.console.watched import Tell
     from service.identity.counting import NamingRule
     from service.sinks.base import Sink
     from service.sinks.session.recorder import SessionRecorder
@@ -116,7 +119,8 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
     interpreter = live.interpreter or Interpreter(TubeNamer(_rule(live)), None)
     tell = _teller(viewing, recorder)
     interpreter.namer.tell = functools.partial(tell, kind="names")
-    console = make_console(args, live, interpreter, viewing, recorder, served, tell)
+    desk = AlarmDesk(tell)
+    console = make_console(args, live, interpreter, viewing, recorder, served, desk, tell)
 
     def prepare(grabber: Grabber) -> None:
         if live.prepare is not None:
@@ -157,8 +161,8 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         if console is not None:
             console.announce()
         began_s = time.monotonic()
-        with reporting.running(service.health):
-            ended_by = _follow(service, reporting, recorder, args.seconds or math.inf)
+        with reporting.running(service.health), _alarms(live, service, interpreter, recorder, desk):
+            ended_by = _follow(service, reporting, recorder, desk, live.grabber.clock, args.seconds or math.inf)
         tell(ended_by, "INFO" if service.failure is None else "ERROR")
         if live.instruments is not None:
             live.instruments.request_stop()
@@ -178,6 +182,26 @@ def _teller(viewing: Viewing, recorder: SessionRecorder | None) -> Tell:
             recorder.event(text, level, kind=kind, **more)
 
     return tell
+
+
+def _alarms(
+    live: LiveRun, service: LiveService, interpreter: Interpreter, recorder: SessionRecorder | None, desk: AlarmDesk
+) -> AlarmWatch:
+    """What looks for alarms while the service runs."""
+
+    def alignment() -> Alignment | None:
+        return None if service.latest is None else service.latest.results[-1].alignment
+
+    return AlarmWatch(
+        desk,
+        live.kind,
+        lambda: service.shown,
+        alignment,
+        None if interpreter.aligner is None else interpreter.aligner.settings.bands,
+        lambda: None if recorder is None else recorder.state.failure,
+        live.grabber.clock,
+        failed=lambda: service.failure is not None,
+    )
 
 
 def _rule(live: LiveRun) -> NamingRule:
@@ -214,21 +238,28 @@ def prepare_kernels() -> None:
         notice.join()
 
 
-def _follow(service: LiveService, reporting: Reporting, recorder: SessionRecorder | None, seconds: float) -> str:
+def _follow(
+    service: LiveService,
+    reporting: Reporting,
+    recorder: SessionRecorder | None,
+    desk: AlarmDesk,
+    clock: Clock,
+    seconds: float,
+) -> str:
     """Begin, show the status, and serve keys, until it is over; in a word, why it is."""
     status, end_s = StatusLine(), time.monotonic() + seconds
     try:
         service.begin()
         with pressed_keys() as keys:
-            if keys is not None and recorder is not None:
-                print(KEYS, flush=True)
+            if keys is not None:
+                print(keys_offered(recorder), flush=True)
             while not service.wait(REFRESH_S):
                 now = service.health(), service.latest
                 reporting.report(now[0])
-                status.show(status_parts(*now), status_parts(*now, brief=True))
-                if keys is not None and recorder is not None:
-                    for key in keys():
-                        on_key(key, recorder)
+                alarms = desk.unseen
+                status.show(status_parts(*now, alarms), status_parts(*now, alarms, brief=True))
+                for key in () if keys is None else keys():
+                    on_key(key, recorder, lambda: desk.acknowledge(clock.monotonic_ns(), None, ""))
                 if time.monotonic() > end_s:
                     return "time is up"
     except Interrupted:

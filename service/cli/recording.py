@@ -22,9 +22,9 @@ if TYPE_CHECKING:
     from service.sinks.session.control import SessionControl
     from service.sinks.viewer_drawing import Watch
 
-__all__ = ["KEYS", "RecordingChoice", "make_recorder", "on_key", "recorded_lines"]
+__all__ = ["RecordingChoice", "keys_offered", "make_recorder", "on_key", "recorded_lines"]
 
-KEYS = "keys: v verify · m mark · r start or stop recording"
+RECORDING_KEYS, ALARM_KEYS = "v verify · m mark · r start or stop recording", "k acknowledge the alarms"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,8 +79,20 @@ def recorded_lines(recorder: SessionControl) -> list[str]:
     return lines
 
 
-def on_key(key: str, recorder: SessionControl) -> None:
+def keys_offered(recorder: SessionControl | None) -> str:
+    """Say which keys there are."""
+    return f"keys: {ALARM_KEYS}" if recorder is None else f"keys: {RECORDING_KEYS} · {ALARM_KEYS}"
+
+
+def on_key(key: str, recorder: SessionControl | None, acknowledge: Callable[[], bool]) -> None:
     """Do what a key asks for, and say in a line what came of it."""
+    if key == "k":
+        say("alarms acknowledged" if acknowledge() else "there is no alarm that was not acknowledged")
+    elif recorder is not None:
+        _on_recording_key(key, recorder)
+
+
+def _on_recording_key(key: str, recorder: SessionControl) -> None:
     try:
         if key == "v":
             record = recorder.verify(None)

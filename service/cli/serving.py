@@ -12,12 +12,11 @@ if TYPE_CHECKING:
     import argparse
 
     from service.acquisition.live import LiveService
+    from service.alignment.desk import AlarmDesk, Tell
     from service.alignment.interpreter import Interpreter
     from service.cli.live import LiveRun
     from service.cli.viewing import Viewing
     from service.console.console import Console
-    from service.console.watched import Tell
-    from service.results import FrameResult
     from service.sinks.session.recorder import SessionRecorder
 
 __all__ = ["Served", "make_console"]
@@ -53,11 +52,6 @@ class Served:
             input=self._service.input,
         )
 
-    def latest(self) -> FrameResult | None:
-        """The last result."""
-        answer = None if self._service is None else self._service.latest
-        return None if answer is None else answer.results[-1]
-
     def select_input(self, name: str) -> None:
         """Switch to another input."""
         if self._service is None:
@@ -75,6 +69,7 @@ def make_console(
     viewing: Viewing,
     recorder: SessionRecorder | None,
     served: Served,
+    desk: AlarmDesk,
     tell: Tell,
 ) -> Console | None:
     """Make the page that the options and the station ask for; nothing is started."""
@@ -91,4 +86,4 @@ def make_console(
         settings=replace(live.console, port=args.console_port or live.console.port),
         viewer_url=lambda: None if viewing.live is None else viewing.live.url,
     )
-    return Console(about, interpreter, served, recorder, live.grabber.clock, served.latest, tell)
+    return Console(about, interpreter, served, recorder, live.grabber.clock, desk, tell)

@@ -10,18 +10,24 @@ from service.sinks.table import tube_counts
 from service.vision.measurement import Lock
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from service.acquisition.health import Health, Percentiles
     from service.acquisition.worker import Answer
+    from service.alignment.alarms import Alarm
     from service.vision.measurement import Measurement
 
 __all__ = ["health_figures", "status_parts", "summary_lines"]
 
 
-def status_parts(health: Health, latest: Answer | None, *, brief: bool = False) -> list[str]:
-    """Parts of the status line, the most important first."""
+def status_parts(
+    health: Health, latest: Answer | None, alarms: Sequence[Alarm] = (), *, brief: bool = False
+) -> list[str]:
+    """Parts of the status line, the most important first; `alarms` are those that nobody has acknowledged."""
     parts = [_state(health)]
+    if alarms:
+        count = f"{len(alarms)} ALARM{'S' * (len(alarms) > 1)}"
+        parts.append(count if brief else f"{count}: {alarms[0].condition.reason}")
     if latest is not None:
         measurement = latest.results[-1].measurement
         parts += [

@@ -110,7 +110,7 @@ class WebApp:
                 await looking
 
     async def _look(self) -> None:
-        """Follow alarms and state, whether or not a page is open."""
+        """Follow the station's state, whether or not a page is open."""
         while True:
             try:
                 self._state = json.dumps({**self._teller.look(), "pages": self._pages}, separators=(",", ":"))

@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 from service.console.access import Access, Tokens
 from service.console.app import WebApp
 from service.console.board import Board
-from service.console.desk import AlarmDesk
 from service.console.operations import Operations
 from service.console.server import WebServer, bind, reachable
 from service.console.sink import ConsoleSink
@@ -15,12 +14,10 @@ from service.console.state import StateTeller
 from service.console.trend import Trend
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from drivers.grabber import Clock
+    from service.alignment.desk import AlarmDesk, Tell
     from service.alignment.interpreter import Interpreter
-    from service.console.watched import About, Tell, Watched
-    from service.results import FrameResult
+    from service.console.watched import About, Watched
     from service.sinks.session.control import SessionControl
 
 __all__ = ["Console"]
@@ -41,10 +38,10 @@ class Console:
         Records sessions; None where nothing is recorded.
     clock
         The one that frames are timed by.
-    latest
-        Gives the last result; None before there is one.
+    desk
+        The alarms.
     tell
-        Told of alarms and of what operators do.
+        Told of what operators do.
     """
 
     def __init__(
@@ -54,17 +51,15 @@ class Console:
         watched: Watched,
         recorder: SessionControl | None,
         clock: Clock,
-        latest: Callable[[], FrameResult | None],
+        desk: AlarmDesk,
         tell: Tell,
     ) -> None:
         settings = about.settings
         self._settings, self._clock = settings, clock
         self.tokens = None if settings.is_loopback else Tokens.fresh()
-        self._board, trend, desk = Board(), Trend(), AlarmDesk(tell)
+        self._board, trend = Board(), Trend()
         self._operations = Operations(interpreter, desk, watched, recorder, clock, tell)
-        self._teller = StateTeller(
-            about, watched, self._operations, desk, trend, interpreter.aligner, recorder, clock, latest
-        )
+        self._teller = StateTeller(about, watched, self._operations, desk, trend, interpreter.aligner, recorder, clock)
         self._server: WebServer | None = None
         self.port: int | None = None
         self.sink = ConsoleSink(

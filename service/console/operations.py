@@ -13,9 +13,9 @@ from service.sinks.session.control import RecordingError
 
 if TYPE_CHECKING:
     from drivers.grabber import Clock
+    from service.alignment.desk import AlarmDesk, Tell
     from service.alignment.interpreter import Interpreter
-    from service.console.desk import AlarmDesk
-    from service.console.watched import Tell, Watched
+    from service.console.watched import Watched
     from service.results import FrameResult
     from service.sinks.session.control import SessionControl
 

@@ -5,34 +5,21 @@ from __future__ import annotations
 import time
 from typing import TYPE_CHECKING, Any
 
-from service.alignment.alarms import Condition
-from service.alignment.conditions import alignment_conditions
-from service.console.desk import alarm_dict, source_conditions
-
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
     from drivers.grabber import Clock
+    from service.alignment.alarms import Alarm
     from service.alignment.aligner import Aligner
-    from service.alignment.result import Alignment
-    from service.console.desk import AlarmDesk
+    from service.alignment.desk import AlarmDesk
     from service.console.operations import Operations
     from service.console.trend import Trend
-    from service.console.watched import About, SourceStatus, Watched
-    from service.results import FrameResult
+    from service.console.watched import About, Watched
     from service.sinks.session.control import SessionControl
 
 __all__ = ["StateTeller"]
 
 
 class StateTeller:
-    """Looks at the station, and says how it does.
-
-    Parameters
-    ----------
-    latest
-        Gives the last result; None before there is one.
-    """
+    """Looks at the station, and says how it does."""
 
     def __init__(
         self,
@@ -44,11 +31,10 @@ class StateTeller:
         aligner: Aligner | None,
         recorder: SessionControl | None,
         clock: Clock,
-        latest: Callable[[], FrameResult | None],
     ) -> None:
         self._about, self._watched, self._operations, self._desk = about, watched, operations, desk
         self._trend, self._aligner, self._recorder = trend, aligner, recorder
-        self._clock, self._latest = clock, latest
+        self._clock = clock
 
     def hello(self, *, may_control: bool) -> dict[str, Any]:
         """What a page is told when it opens."""
@@ -87,9 +73,9 @@ class StateTeller:
         }
 
     def look(self) -> dict[str, Any]:
-        """Follow the alarms, and say how the station does now."""
+        """Say how the station does now."""
         now_ns, status = self._clock.monotonic_ns(), self._watched.status()
-        alarms = self._desk.look(now_ns, self._conditions(status))
+        alarms = self._desk.list
         first = alarms.first_out
         return {
             "type": "state",
@@ -123,17 +109,20 @@ class StateTeller:
             "overflowed": s.overflowed,
         }
 
-    def _conditions(self, status: SourceStatus) -> Sequence[Condition]:
-        """What is wrong, what explains the others first: with no picture, nothing is said of the alignment."""
-        found = list(source_conditions(self._about.kind, status))
-        alignment = self._alignment() if status.liveness == "LIVE" else None
-        if alignment is not None and self._aligner is not None:
-            found.extend(alignment_conditions(alignment, self._aligner.settings.bands))
-        if self._recorder is not None and (failure := self._recorder.state.failure) is not None:
-            todo = "make room or name another disk, then start recording again; the watch goes on"
-            found.append(Condition("recording", failure, todo))
-        return found
 
-    def _alignment(self) -> Alignment | None:
-        result = self._latest()
-        return None if result is None else result.alignment
+def alarm_dict(alarm: Alarm, now_ns: int) -> dict[str, Any]:
+    """An alarm as the page gets it."""
+    c = alarm.condition
+    return {
+        "key": c.key,
+        "reason": c.reason,
+        "todo": c.todo,
+        "value": None if c.value is None else round(c.value, 4),
+        "limit": c.limit,
+        "unit": c.unit,
+        "age_s": round((now_ns - alarm.raised_ns) / 1e9, 1),
+        "raised_ms": alarm.raised_ns / 1e6,
+        "active": alarm.active,
+        "acknowledged": not alarm.flashes,
+        "times": alarm.times,
+    }

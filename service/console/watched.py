@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from service.config.console import ConsoleSettings
     from service.identity.counting import NamingRule
 
-__all__ = ["About", "RefusedError", "SourceStatus", "Tell", "Watched"]
+__all__ = ["About", "RefusedError", "SourceStatus", "Watched"]
 
 
 class RefusedError(Exception):
@@ -47,14 +47,6 @@ class SourceStatus:
     bad: int = 0
     inputs: tuple[str, ...] = ()
     input: str = ""
-
-
-class Tell(Protocol):
-    """Who is told of what happens at the station."""
-
-    def __call__(self, text: str, level: str, *, kind: str = "source", **more: Any) -> None:
-        """Take note, at once: in words, INFO, WARN or ERROR, of which kind, and in figures what it was."""
-        ...
 
 
 class Watched(Protocol):

@@ -42,7 +42,6 @@ class FakeService:
 def test_the_source_is_shown_as_the_service_sees_it(liveness, word):
     served = Served()
     assert served.status().liveness == "STARTING"
-    assert served.latest() is None
     served.attach(FakeService(Shown(liveness, "why", 7)))
     status = served.status()
     assert (status.liveness, status.reason, status.since_ns) == (word, "why", 7)

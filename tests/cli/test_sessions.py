@@ -177,13 +177,22 @@ class FakeRecorder:
 
 def test_keys_ask_the_recorder_and_say_what_came_of_it(capsys):
     recorder = FakeRecorder()
-    for key in "vrx":
-        recording_command.on_key(key, recorder)
+    unseen = [True]
+    for key in "vrxkk":
+        recording_command.on_key(key, recorder, lambda: bool(unseen) and unseen.pop())
     assert recorder.asked == ["verify", "start"]
     assert capsys.readouterr().err.splitlines() == [
         "bowlsight: nothing is being recorded; start recording first",
         "bowlsight: recording into somewhere",
+        "bowlsight: alarms acknowledged",
+        "bowlsight: there is no alarm that was not acknowledged",
     ]
+
+
+def test_without_a_recorder_there_are_keys_for_alarms_alone():
+    assert "verify" in recording_command.keys_offered(FakeRecorder())
+    assert recording_command.keys_offered(None) == "keys: k acknowledge the alarms"
+    recording_command.on_key("v", None, lambda: pytest.fail("not asked for"))
 
 
 def test_results_are_lines_of_the_documented_kind(recorded):

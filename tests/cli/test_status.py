@@ -7,6 +7,7 @@ from service.acquisition.ledger import Account
 from service.acquisition.liveness import Liveness, Shown
 from service.acquisition.resources import Resources
 from service.acquisition.worker import Answer
+from service.alignment.alarms import Alarm, Condition
 from service.cli.status import status_parts, summary_lines
 from service.sinks.base import SinkStats
 from service.vision.measurement import Lock
@@ -31,6 +32,13 @@ def test_it_tells_every_figure_with_unit_and_sigma():
         "LIVE 25.0 fps | lock full | distance 1000.00 ±0.20 mm | tilt 5.00 ±0.05 deg | 3 tubes measured + 2 inferred"
         " | latency 8 ms | 5 dropped"
     )
+
+
+def test_alarms_that_nobody_acknowledged_stand_before_the_figures():
+    alarms = [Alarm(Condition(key, reason, "do it"), 0) for key, reason in (("a", "it is dark"), ("b", "so"))]
+    answer = Answer(make_frame(), (make_result(),), 8.4)
+    assert status_parts(HEALTH, answer, alarms)[:2] == ["LIVE 25.0 fps", "2 ALARMS: it is dark"]
+    assert status_parts(HEALTH, answer, alarms[:1], brief=True)[:2] == ["LIVE 25.0 fps", "1 ALARM"]
 
 
 def test_the_brief_form_fits_an_old_terminal_up_to_the_tubes():

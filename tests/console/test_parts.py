@@ -4,16 +4,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from service.alignment.desk import AlarmDesk
 from service.alignment.interpreter import Interpreter
 from service.config.console import ConsoleSettings
 from service.console.access import Access, Bucket, Buckets, Right, Tokens
 from service.console.board import Board
 from service.console.console import Console
-from service.console.desk import AlarmDesk, source_conditions
 from service.console.message import frame_head, frame_message, marks
 from service.console.server import bind
 from service.console.trend import FIELDS, Trend
-from service.console.watched import About, RefusedError, SourceStatus
+from service.console.watched import About, RefusedError
 from service.identity.namer import TubeNamer
 from service.vision.measurement import Doubt, Lock
 from tests.browser.served import aligner_at
@@ -94,63 +94,6 @@ def test_a_clock_that_runs_back_begins_anew():
     trend = Trend()
     assert trend.add(5 * SECOND, made_up()[1]) is not None
     assert trend.add(1 * SECOND, made_up()[1]) is not None
-
-
-# -- alarms ------------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("kind", "word", "keys"),
-    [
-        ("LIVE", "LIVE", []),
-        ("LIVE", "STARTING", []),
-        ("LIVE", "FROZEN", ["source frozen"]),
-        ("LIVE", "NO SIGNAL", ["source no signal"]),
-        ("LIVE", "ENDED", ["source ended"]),
-        ("REPLAY", "ENDED", []),
-        ("REPLAY", "STALE", ["source stale"]),
-    ],
-)
-def test_what_is_wrong_with_the_source_is_an_alarm(kind, word, keys):
-    assert [c.key for c in source_conditions(kind, SourceStatus(word))] == keys
-
-
-def test_the_desk_tells_what_comes_goes_and_is_seen():
-    said = []
-    desk = AlarmDesk(lambda text, level, *, kind, **more: said.append((text, level, more["change"])))
-    wrong = source_conditions("LIVE", SourceStatus("FROZEN", "same"))
-    desk.look(0, wrong)
-    desk.look(1, wrong)
-    assert desk.acknowledge(2, None, "A")
-    assert not desk.acknowledge(3, None, "A")
-    assert not desk.acknowledge(3, "other", "A")
-    desk.look(4, [])
-    assert said == [
-        ("alarm: FROZEN: same", "WARN", "raised"),
-        ("alarm acknowledged by A: FROZEN: same", "INFO", "acknowledged"),
-        ("alarm over: FROZEN: same", "INFO", "cleared"),
-    ]
-    assert not desk.list
-
-
-def test_a_source_without_a_picture_says_nothing_of_alignment():
-    station = FakeStation(aligner=aligner_at(0.6, 0.0))
-    station.show(*made_up())
-    station.operations.choose("0,0", 1, "")
-    for _ in range(30):
-        station.show(*made_up())
-        state = station.teller.look()
-    assert "cannot-judge" in {a["key"] for a in state["alarms"]}
-    station.watched.shown = SourceStatus("FROZEN", "same")
-    active = {a["key"] for a in station.teller.look()["alarms"] if a["active"]}
-    assert active == {"source frozen"}
-
-
-def test_a_recording_that_broke_off_is_an_alarm():
-    station = FakeStation()
-    station.recorder.state = replace(station.recorder.state, failure="recording stopped: no room")
-    [alarm] = station.teller.look()["alarms"]
-    assert alarm["reason"] == "recording stopped: no room"
 
 
 # -- what operators do -------------------------------------------------------------------------------------------------
@@ -270,7 +213,7 @@ def console(clock=None, **settings):
     about = About("LIVE", "camera", "Model F", RULE, ConsoleSettings(**settings))
     interpreter = Interpreter(TubeNamer(RULE), None)
     return Console(
-        about, interpreter, station.watched, None, clock or ManualClock(), lambda: None, lambda *_, **__: None
+        about, interpreter, station.watched, None, clock or ManualClock(), AlarmDesk(station.tell), station.tell
     )
 
 

@@ -4,13 +4,15 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+from service.acquisition.alarms import AlarmWatch
+from service.acquisition.liveness import Liveness, Shown
+from service.alignment.desk import AlarmDesk
 from service.alignment.interpreter import Interpreter
 from service.config.console import ConsoleSettings
 from service.config.generators import Naming
 from service.console.access import Access, Tokens
 from service.console.app import WebApp
 from service.console.board import Board
-from service.console.desk import AlarmDesk
 from service.console.operations import Operations
 from service.console.sink import ConsoleSink
 from service.console.state import StateTeller
@@ -67,6 +69,14 @@ class FakeRecorder:
         return SimpleNamespace(number=len(self.asked) - 1, sha256="0" * 64, values=values)
 
 
+class WatchingTeller(StateTeller):
+    """Has alarms looked for whenever the state is asked for, instead of in a thread."""
+
+    def look(self):
+        self.alarms.look()
+        return super().look()
+
+
 class FakeStation:
     """All of the console but the server; `app` is its ASGI application, `sink` takes frames."""
 
@@ -82,10 +92,16 @@ class FakeStation:
         self.operations = Operations(self.interpreter, self.desk, self.watched, self.recorder, self.clock, self.tell)
         self.board, self.trend = Board(), Trend()
         about = About(kind, "camera 1", "Model F", rule, self.settings)
-        self.teller = StateTeller(
-            about, self.watched, self.operations, self.desk, self.trend, aligner, self.recorder, self.clock,
-            lambda: self.latest,
+        self.alarms = AlarmWatch(
+            self.desk, Liveness(kind), lambda: Shown(Liveness(self.watched.shown.liveness), self.watched.shown.reason),
+            lambda: None if self.latest is None else self.latest.alignment,
+            None if aligner is None else aligner.settings.bands,
+            lambda: None if self.recorder is None else self.recorder.state.failure, self.clock,
         )  # fmt: skip
+        self.teller = WatchingTeller(
+            about, self.watched, self.operations, self.desk, self.trend, aligner, self.recorder, self.clock
+        )
+        self.teller.alarms = self.alarms
         self.sink = ConsoleSink(
             self.settings, rule, self.board, self.trend, self.operations, self.clock,
             live=kind != "REPLAY", start=lambda: None, finish=lambda timeout_s: None,

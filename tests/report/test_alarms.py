@@ -1,7 +1,7 @@
 """Alarms, put together again from events, are those of the list that wrote them."""
 
 from service.alignment.alarms import Condition
-from service.console.desk import AlarmDesk
+from service.alignment.desk import AlarmDesk
 from service.report.alarms import recorded_alarms
 
 A, B = (Condition(key, f"{key} is wrong: why", "do it", 0.7, 0.5, "mm") for key in "ab")

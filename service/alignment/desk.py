@@ -1,36 +1,29 @@
-"""The alarm desk: looks at what is wrong now, keeps the list, tells of what comes, goes and is seen."""
+"""The alarm desk: keeps the list, tells of what comes, goes and is seen."""
 
 from __future__ import annotations
 
+import logging
 import threading
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
-from service.alignment.alarms import AlarmList, Condition, acknowledge, step
+from service.alignment.alarms import AlarmList, acknowledge, step
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from service.alignment.alarms import Alarm
-    from service.console.watched import SourceStatus, Tell
+    from service.alignment.alarms import Alarm, Condition
 
-__all__ = ["AlarmDesk", "alarm_dict", "source_conditions"]
+__all__ = ["AlarmDesk", "Tell"]
 
-WHAT_TO_DO = {
-    "NO SIGNAL": "check camera, lamp and cable, and which input is chosen; stop moving",
-    "FROZEN": "stop moving: the picture is not live; check the grabber",
-    "STALE": "stop moving: the picture is old; check grabber and cable",
-    "RECONNECTING": "stop moving; it is looked for by itself; check its cable",
-    "ENDED": "stop moving; start the service again",
-}
+log = logging.getLogger(__name__)
 
 
-def source_conditions(kind: str, status: SourceStatus) -> Sequence[Condition]:
-    """What is wrong with the source; that a recording is over is no alarm."""
-    word = status.liveness
-    if word not in WHAT_TO_DO or (word == "ENDED" and kind == "REPLAY"):
-        return ()
-    reason = f"{word}: {status.reason}" if status.reason else word
-    return (Condition(f"source {word.lower()}", reason, WHAT_TO_DO[word]),)
+class Tell(Protocol):
+    """Who is told of what happens at the station."""
+
+    def __call__(self, text: str, level: str, *, kind: str = "source", **more: Any) -> None:
+        """Take note, at once: in words, INFO, WARN or ERROR, of which kind, and in figures what it was."""
+        ...
 
 
 class AlarmDesk:
@@ -51,6 +44,11 @@ class AlarmDesk:
     def list(self) -> AlarmList:
         """The list as it is now."""
         return self._list
+
+    @property
+    def unseen(self) -> Sequence[Alarm]:
+        """What nobody has acknowledged, in the order in which it was raised."""
+        return [alarm for alarm in self._list if alarm.flashes]
 
     def look(self, now_ns: int, conditions: Sequence[Condition]) -> AlarmList:
         """Follow what is wrong now."""
@@ -80,22 +78,8 @@ class AlarmDesk:
     def _say(self, words: str, alarm: Alarm, change: str, level: str, **more: str) -> None:
         c = alarm.condition
         figures = {"value": c.value, "limit": c.limit, "unit": c.unit}
+        if change == "raised":
+            log.warning("%s: %s; %s", words, c.reason, c.todo)
+        else:
+            log.info("%s: %s", words, c.reason)
         self._tell(f"{words}: {c.reason}", level, kind="alarm", key=c.key, change=change, **figures, **more)
-
-
-def alarm_dict(alarm: Alarm, now_ns: int) -> dict[str, Any]:
-    """An alarm as the page gets it."""
-    c = alarm.condition
-    return {
-        "key": c.key,
-        "reason": c.reason,
-        "todo": c.todo,
-        "value": None if c.value is None else round(c.value, 4),
-        "limit": c.limit,
-        "unit": c.unit,
-        "age_s": round((now_ns - alarm.raised_ns) / 1e9, 1),
-        "raised_ms": alarm.raised_ns / 1e6,
-        "active": alarm.active,
-        "acknowledged": not alarm.flashes,
-        "times": alarm.times,
-    }
