@@ -15,6 +15,7 @@ if TYPE_CHECKING:
 
     from service.alignment.priors import Priors
     from service.alignment.result import Alignment
+    from service.sinks.session.memory import Memory
 
 __all__ = ["SCHEMA", "FrameResult"]
 
@@ -42,6 +43,8 @@ class FrameResult:
     outside
         What the result rests on besides frames and configuration, and took effect with it, in JSON's own types: what
         the operator chose ("anchors", "target"), what the instruments said ("readings"). Not part of the line.
+    memory
+        What was remembered before its frame, where a recording that begins asks for it. Not part of the line.
     """
 
     source: str
@@ -53,6 +56,7 @@ class FrameResult:
     alignment: Alignment | None = None
     instruments: Priors | None = None
     outside: Mapping[str, Any] | None = None
+    memory: Memory | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """The line as JSON's own types; see `docs/formats.md`."""

@@ -6,7 +6,7 @@ import logging
 import sys
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import cv2
 
@@ -22,7 +22,7 @@ from service.acquisition.supervisor import Supervisor
 from service.acquisition.worker import Worker
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from types import TracebackType
 
     from drivers.frame import Field, Frame
@@ -75,6 +75,10 @@ class LiveService:
         What the source is when nothing is wrong with it: LIVE, REPLAY or SIMULATED.
     supervision
         How a live source is watched and got back; None for recordings, whose failures are final.
+    memory_wanted
+        Whether results are to be given what is remembered before their frame, for a recording that begins.
+    remembered
+        What to go on from, instead of from nothing; see `FrameMeasurer.recall`.
     tell
         Gets what happens to the source in words, with INFO, WARN or ERROR, from several threads. Must return at once.
     """
@@ -94,9 +98,12 @@ class LiveService:
         kind: Liveness = Liveness.LIVE,
         supervision: Supervision | None = None,
         tell: Callable[[str, str], None] | None = None,
+        memory_wanted: Callable[[], bool] = lambda: False,
+        remembered: Mapping[str, Any] | None = None,
     ) -> None:
         self._grabber, self._measurer_for, self._sinks = grabber, measurer_for, tuple(sinks)
         self._interpreter, self._check = interpreter, check
+        self._memory_wanted, self._remembered = memory_wanted, remembered
         self._clock, self._field, self._oldest_s = grabber.clock, field, oldest_s
         self._ledger = Ledger()
         self._hand_over: HandOver = FrameQueue(ORDERED_CAPACITY) if every_frame else NewestSlot()
@@ -146,7 +153,11 @@ class LiveService:
                 width_px, height_px = frame.size_px
                 return self._measurer_for(replace(picture_format, width_px=width_px, height_px=height_px))
 
-            measurer = FrameMeasurer(vision, self._field, self._clock, self._interpreter, self._check, remake)
+            measurer = FrameMeasurer(
+                vision, self._field, self._clock, self._interpreter, self._check, remake, self._memory_wanted
+            )
+            if self._remembered is not None:
+                measurer.recall(self._remembered)
             for sink in self._sinks:
                 self._started_sinks.append(sink)
                 sink.start()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import replace
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
@@ -13,10 +13,11 @@ from drivers.frame import Field
 from service.acquisition.ledger import Outcome
 from service.acquisition.repeated import RepeatedLog
 from service.results import FrameResult
+from service.sinks.session.memory import Memory
 from service.vision.measurement import Lock, Measurement, Tubes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -29,6 +30,8 @@ __all__ = ["FrameMeasurer", "Measurer"]
 
 log = logging.getLogger(__name__)
 
+MEMORY = ("_size_px", "_why_not", "_before", "_generation", "_index")
+
 
 class Measurer(Protocol):
     """What vision offers: pictures in, measurements out, with a memory from picture to picture."""
@@ -37,6 +40,15 @@ class Measurer(Protocol):
         self, pixels: NDArray[np.uint8] | NDArray[np.uint16], time_ns: int, field: str = "unknown"
     ) -> Sequence[Measurement]:
         """Measure a picture: one answer, or two (top and bottom) for an interlaced one."""
+        ...
+
+    @property
+    def memory(self) -> Mapping[str, Any]:
+        """All that earlier pictures left behind."""
+        ...
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Go on from a copy of what `memory` was."""
         ...
 
     def settle_index(self, index: int, shift: tuple[int, int] | None) -> bool:
@@ -66,6 +78,8 @@ class FrameMeasurer:
     remake
         Makes vision anew for sound frames of another size; raises ConfigError where they cannot be measured. None: they
         go to the same.
+    memory_wanted
+        Whether results are to be given what is remembered before their frame.
     """
 
     def __init__(
@@ -76,9 +90,10 @@ class FrameMeasurer:
         interpreter: Interpreter | None = None,
         check: CrossCheck | None = None,
         remake: Callable[[Frame], Measurer] | None = None,
+        memory_wanted: Callable[[], bool] = lambda: False,
     ) -> None:
         self._measurer, self._field, self._interpreter = measurer, field, interpreter
-        self._check, self._remake = check, remake
+        self._check, self._remake, self._memory_wanted = check, remake, memory_wanted
         self._size_px: dict[Field, tuple[int, int]] = {}
         self._why_not: str | None = None
         self._before: Pixels | None = None
@@ -88,6 +103,7 @@ class FrameMeasurer:
 
     def answer(self, frame: Frame) -> tuple[tuple[FrameResult, ...], Outcome]:
         """Measure one frame. Never raises for what is in it: an error of the measuring itself is an answer too."""
+        memory = self._memory() if self._memory_wanted() else None
         if frame.generation != self._generation:
             self._measurer.reset()
             self._generation = frame.generation
@@ -103,7 +119,27 @@ class FrameMeasurer:
             results.append(result)
         if self._interpreter is not None and not self._interpret(frame, results, self._interpreter):
             outcome = Outcome.FAILED
+        if memory is not None:
+            results[0] = replace(results[0], memory=memory)
         return tuple(results), outcome
+
+    def _memory(self) -> Memory:
+        """All that the next results rest on besides their frames, copied."""
+        interpreter = None if self._interpreter is None else self._interpreter.memory
+        own = {name: getattr(self, name) for name in MEMORY}
+        try:
+            return Memory.of({"own": own, "vision": self._measurer.memory, "interpreter": interpreter})
+        except TypeError as error:  # the recording goes on without
+            log.warning("what is remembered cannot be recorded: %s", error)
+            return Memory.none()
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Go on from what was remembered, before the first frame."""
+        for name in MEMORY:
+            setattr(self, name, memory["own"][name])
+        self._measurer.recall(memory["vision"])
+        if self._interpreter is not None and memory["interpreter"] is not None:
+            self._interpreter.recall(memory["interpreter"])
 
     def _measure(self, frame: Frame) -> tuple[Sequence[Measurement], Outcome]:
         if frame.defect is not None:

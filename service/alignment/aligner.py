@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from service.alignment.bands import Bands
 from service.alignment.entry import entry
@@ -16,6 +16,8 @@ from service.identity.names import NamingError
 from service.vision.measurement import Doubt
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from service.alignment.parallelism import Averaged
     from service.identity.anchors import NamedLattice
     from service.identity.names import TubeName
@@ -28,6 +30,7 @@ if TYPE_CHECKING:
 __all__ = ["Aligner", "AlignmentSettings"]
 
 NOT_JUDGED = Judgement(Verdict.CANNOT_JUDGE)
+MEMORY = ("target", "used", "_window", "_before", "_seen_ns", "_last")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +82,16 @@ class Aligner:
         self._before: tuple[tuple[int, int], Judgement] | None = None
         self._seen_ns: int | None = None
         self._last: Averaged | None = None
+
+    @property
+    def memory(self) -> dict[str, Any]:
+        """The target, and what the pictures so far left behind; see `Measurer.memory` of vision."""
+        return {name: getattr(self, name) for name in MEMORY}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Go on from a copy of what `memory` was."""
+        for name in MEMORY:
+            setattr(self, name, memory[name])
 
     def update(
         self,

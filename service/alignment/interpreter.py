@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from service.alignment.aligner import Aligner
     from service.alignment.result import Alignment
@@ -34,6 +34,19 @@ class Interpreter:
         self._told: dict[tuple[int, int], str | None] = {}
         self.chosen: dict[str, Any] = {}
         """What the operator chose meanwhile and took effect with the last picture, in JSON's own types."""
+
+    @property
+    def memory(self) -> dict[str, Any]:
+        """What the pictures so far, and the operator, left behind; see `Measurer.memory` of vision."""
+        aligner = None if self.aligner is None else self.aligner.memory
+        return {"generation": self._generation, "namer": self.namer.memory, "aligner": aligner}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Go on from a copy of what `memory` was."""
+        self._generation = memory["generation"]
+        self.namer.recall(memory["namer"])
+        if self.aligner is not None:
+            self.aligner.recall(memory["aligner"])
 
     def read(
         self, measurement: Measurement, generation: int, *, fresh: bool = True

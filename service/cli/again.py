@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import itertools
+import logging
 import math
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from drivers.errors import ConfigError
 from drivers.session_index import Measured, Outside
 from drivers.session_replay import SessionGrabber
 from service.acquisition.measuring import FrameMeasurer
@@ -21,7 +23,7 @@ from service.identity.namer import TubeNamer
 from service.vision.process import Measurer
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from drivers.frame import Field, Frame
     from service.acquisition.cross_check import CrossCheck
@@ -31,7 +33,18 @@ if TYPE_CHECKING:
     from service.sinks.session.reader import RecordedSession
     from service.vision.camera import Camera
 
-__all__ = ["measured_again", "measured_as_recorded", "recalled", "recalled_check", "recorded_said", "recorded_source"]
+__all__ = [
+    "measured_again",
+    "measured_as_recorded",
+    "recalled",
+    "recalled_check",
+    "recorded_said",
+    "recorded_source",
+    "remembered",
+]
+
+
+log = logging.getLogger(__name__)
 
 
 def recorded_said(args: argparse.Namespace, session: RecordedSession) -> None:
@@ -47,14 +60,25 @@ def recorded_source(session: RecordedSession) -> str:
     return str(session.about.device.get("name", session.folder))
 
 
-def measured_as_recorded(session: RecordedSession) -> Iterator[tuple[Frame, Sequence[FrameResult]]]:
+def remembered(session: RecordedSession) -> Mapping[str, Any] | None:
+    """What measuring remembered when the recording began; None where that is nothing, or cannot be had."""
+    try:
+        return session.memory()
+    except ConfigError as error:
+        log.warning("%s; it is measured again without", error)
+        return None
+
+
+def measured_as_recorded(
+    session: RecordedSession, memory: Mapping[str, Any] | None = None
+) -> Iterator[tuple[Frame, Sequence[FrameResult]]]:
     """Measure a session again, as it was measured; raises ConfigError where its configuration was damaged."""
     s = read_station(session.station)
     said = argparse.Namespace(anchor=list(session.about.anchors), target=session.about.target or None)
     interpreter = interpreter_for(said, s.identity, s.alignment, s.generator)
     interpreter = recalled(session, interpreter, s.identity.rule(s.generator))
     return measured_again(
-        session, s.generator, s.camera, s.measuring.field_order.field, interpreter, recalled_check(session)
+        session, s.generator, s.camera, s.measuring.field_order.field, interpreter, recalled_check(session), memory
     )
 
 
@@ -77,8 +101,9 @@ def measured_again(
     field: Field | None,
     interpreter: Interpreter | None,
     check: CrossCheck | None = None,
+    memory: Mapping[str, Any] | None = None,
 ) -> Iterator[tuple[Frame, Sequence[FrameResult]]]:
-    """Measure the frames that were measured, in their order, at full speed."""
+    """Measure the frames that were measured, in their order, at full speed, from what was remembered on."""
 
     def measurer_for(size_px: tuple[int, int]) -> Measurer:
         shown = replace(grabber.format, width_px=size_px[0], height_px=size_px[1])
@@ -90,6 +115,8 @@ def measured_again(
         measurer = FrameMeasurer(
             measurer_for(size_px), field, grabber.clock, interpreter, check, lambda frame: measurer_for(frame.size_px)
         )
+        if memory is not None:
+            measurer.recall(memory)
         grabber.start()
         for frame in grabber:
             yield frame, measurer.answer(frame)[0]

@@ -34,7 +34,7 @@ from service.vision.process import Measurer, warm_up
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from drivers.grabber import Clock, FrameFormat, Grabber
     from service.acquisition.instruments import Instruments
@@ -87,6 +87,8 @@ class LiveRun:
         The operator's page.
     instruments
         Lens and range finder; None where there is neither.
+    remembered
+        What measuring goes on from; None: from nothing.
     """
 
     kind: Liveness
@@ -105,6 +107,7 @@ class LiveRun:
     health: HealthSettings = field(default_factory=HealthSettings)
     console: ConsoleSettings = field(default_factory=ConsoleSettings)
     instruments: Instruments | None = None
+    remembered: Mapping[str, Any] | None = None
 
 
 def watch(live: LiveRun, args: argparse.Namespace) -> int:
@@ -148,6 +151,8 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         kind=live.kind,
         supervision=live.supervision,
         tell=tell,
+        memory_wanted=lambda: recorder is not None and recorder.memory_wanted,
+        remembered=live.remembered,
     )
     if recorder is not None:
         recorder.listen(service.subscribe(FRAMES_CAPACITY, waits=live.every_frame))

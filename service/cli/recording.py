@@ -57,11 +57,11 @@ def make_recorder(
         settings, kind, generator.key, choice.configuration, choice.rule, tuple(args.anchor), args.target
     )
     if not settings.viewer:
-        return SessionRecorder(plan, clock)
+        return SessionRecorder(plan, clock, remembers=True)
     # rerun takes most of a second to import: only where it serves
     from service.sinks.viewer_file import ViewerFileSink  # noqa: PLC0415
 
-    return SessionRecorder(plan, clock, viewer_for=lambda path: ViewerFileSink(path, watch_for()))
+    return SessionRecorder(plan, clock, remembers=True, viewer_for=lambda path: ViewerFileSink(path, watch_for()))
 
 
 def recorded_lines(recorder: SessionControl) -> list[str]:

@@ -10,7 +10,7 @@ from drivers.errors import ConfigError
 from drivers.replay import ReplayGrabber
 from drivers.session_replay import SessionGrabber, is_session
 from service.acquisition.liveness import Liveness
-from service.cli.again import measured_again, recalled, recalled_check, recorded_said, recorded_source
+from service.cli.again import measured_again, recalled, recalled_check, recorded_said, recorded_source, remembered
 from service.cli.inputs import field_order, station, station_file
 from service.cli.interpreting import interpreter_for
 from service.cli.live import LiveRun, prepare_kernels, watch
@@ -76,15 +76,17 @@ def _live(
 
 def _session(args: argparse.Namespace, session: RecordedSession) -> int:
     """Measure the frames of a session again: as they were measured, unless the options say otherwise."""
+    otherwise = args.config, args.generator, args.camera, args.field_order, args.target, *args.anchor
+    memory = None if any(option is not None for option in otherwise) else remembered(session)
     recorded_said(args, session)
-    comparison = Comparison(session)
+    comparison = Comparison(session, remembered=memory is not None)
     grabber = SessionGrabber(
         args.path, speed=math.inf if args.check else args.speed, loop=args.loop, name=recorded_source(session)
     )
     live = _live(args, grabber, every_frame=True, sinks=[comparison])
     assert live.recording is not None, "replays can be recorded"
     interpreter = recalled(session, live.interpreter, live.recording.rule)
-    live = replace(live, interpreter=interpreter, check=recalled_check(session))
+    live = replace(live, interpreter=interpreter, check=recalled_check(session), remembered=memory)
     status = _check(session, live, comparison) if args.check else watch(live, args)
     for line in [*comparison.lines(), *_surroundings(session, comparison)]:
         print(line)
@@ -95,7 +97,8 @@ def _check(session: RecordedSession, live: LiveRun, comparison: Comparison) -> i
     """Measure all of it, without a viewer, and show nothing but what comes of it."""
     prepare_kernels()
     field = live.measuring.field_order.field
-    for frame, results in measured_again(session, live.generator, live.camera, field, live.interpreter, live.check):
+    again = measured_again(session, live.generator, live.camera, field, live.interpreter, live.check, live.remembered)
+    for frame, results in again:
         comparison.accept(frame, results)
     counts = session.counts()
     lost = f", {counts.overflowed:,} lost by the recorder" if counts.overflowed else ""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from drivers.errors import ConfigError, DeviceError
 from drivers.session_replay import is_session
-from service.cli.again import measured_as_recorded
+from service.cli.again import measured_as_recorded, remembered
 from service.cli.live import prepare_kernels
 from service.sinks.evidence import without_times
 from service.sinks.evidence_check import record_key
@@ -65,9 +65,10 @@ def _recomputed(folder: Path) -> Iterator[Finding]:
 
 
 def _compared(session: RecordedSession) -> Iterator[Finding]:
-    comparison = Comparison(session)
+    memory = remembered(session)
+    comparison = Comparison(session, remembered=memory is not None)
     evidence = {record_key(record)[:3]: record for record in session.evidence()}
-    for frame, results in measured_as_recorded(session):
+    for frame, results in measured_as_recorded(session, memory):
         comparison.accept(frame, results)
         record = evidence.get((frame.generation, frame.sequence, frame.timestamp_ns))
         if record is not None and comparison.exact:

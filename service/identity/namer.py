@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from service.identity.anchors import settle
 from service.identity.names import NamingError
 from service.vision.measurement import Doubt
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from service.identity.anchors import Anchor, NamedLattice
     from service.identity.counting import NamingRule
@@ -72,6 +72,15 @@ class TubeNamer:
             Of the picture that they were read from: in another one, their places may be those of other tubes.
         """
         self._asked = AskedAnchors(tuple(anchors), generation, index)
+
+    @property
+    def memory(self) -> dict[str, Any]:
+        """What names tubes, and what is still to be taken; see `Measurer.memory` of vision."""
+        return {"named": self.named, "problem": self.problem, "asked": self._asked}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Go on from a copy of what `memory` was."""
+        self.named, self.problem, self._asked = memory["named"], memory["problem"], memory["asked"]
 
     def update(self, measurement: Measurement, generation: int) -> NamedLattice | None:
         """What names this picture's tubes; None where nothing does, or where the index is in doubt."""

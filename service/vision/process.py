@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import cv2
 import numpy as np
@@ -22,7 +22,7 @@ from service.vision.tracking import Tracker
 from service.vision.view import View
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Mapping
 
     from numpy.typing import NDArray
 
@@ -45,6 +45,7 @@ STALE = 2.0
 USUAL_PERIOD_NS = 40_000_000
 """Frame period before two frames have told it."""
 LONGEST_PERIOD_NS = 200_000_000
+MEMORY = ("_tracker", "_calibration", "_interlace", "_time_ns", "_period_ns")
 
 
 class Measurer:
@@ -71,6 +72,16 @@ class Measurer:
         self._interlace = Interlace()
         self._time_ns: int | None = None
         self._period_ns = USUAL_PERIOD_NS
+
+    @property
+    def memory(self) -> dict[str, Any]:
+        """All that earlier pictures left behind, to be copied before the next one."""
+        return {name: getattr(self, name) for name in MEMORY}
+
+    def recall(self, memory: Mapping[str, Any]) -> None:
+        """Go on from a copy of what `memory` was."""
+        for name in MEMORY:
+            setattr(self, name, memory[name])
 
     def settle_index(self, index: int, shift: tuple[int, int] | None) -> bool:
         """See `Tracker.settle_index`; holds from the next picture on."""

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from drivers.errors import ConfigError
 from drivers.grabber import SystemClock
 from drivers.replay import ReplayGrabber
 from drivers.session_index import INDEX, Measured, Outside, Row, read_index
@@ -21,7 +22,8 @@ from service.acquisition.measuring import FrameMeasurer
 from service.acquisition.readings import InstrumentReadings
 from service.acquisition.slot import FrameQueue
 from service.alignment.targets import Target
-from service.cli.again import measured_as_recorded
+from service.cli import main
+from service.cli.again import measured_as_recorded, remembered
 from service.cli.interpreting import interpreter_for
 from service.config.recording import RecordingSettings
 from service.config.station import read_station
@@ -85,7 +87,7 @@ def with_a_leap(video: Path, before: int, after: int, leap_to: int):
         yield replace(frame, sequence=k, generation=1, timestamp_ns=time_ns, received_ns=time.monotonic_ns()), True
 
 
-def record_frames(frames_measured, folder: Path, generator: str, do, anchor_from_start=True) -> Path:
+def record_frames(frames_measured, folder: Path, generator: str, do, *, anchor_from_start=True, begin_at=0) -> Path:
     """Measure and record these frames as the live service does, without its threads.
 
     Before each frame, `do` gets its sequence number, the interpreter, and the last result.
@@ -95,11 +97,11 @@ def record_frames(frames_measured, folder: Path, generator: str, do, anchor_from
     rule = s.identity.rule(s.generator)
     anchor = [f"0,0={tube(rule, 20)}"] if anchor_from_start else []
     plan = RecordingPlan(
-        RecordingSettings(enabled=True, folder=folder / "sessions", keep_free_mib=0),
+        RecordingSettings(enabled=not begin_at, folder=folder / "sessions", keep_free_mib=0),
         "REPLAY", generator, configuration(path), rule, anchor,
     )  # fmt: skip
     frames = FrameQueue(8, waits=True)
-    recorder = SessionRecorder(plan, SystemClock())
+    recorder = SessionRecorder(plan, SystemClock(), remembers=True)
     recorder.listen(frames)
     said = argparse.Namespace(anchor=anchor, target=None)
     distances = map(float, itertools.count(900))
@@ -110,7 +112,11 @@ def record_frames(frames_measured, folder: Path, generator: str, do, anchor_from
         if measurer is None:
             vision = Measurer(assumed_camera(frame.size_px), s.generator.lattice, time.perf_counter_ns)
             check = CrossCheck(lambda: InstrumentReadings(distance_mm=next(distances), distance_sigma_mm=1.0))
-            measurer = FrameMeasurer(vision, None, SystemClock(), interpreter, check)
+            measurer = FrameMeasurer(
+                vision, None, SystemClock(), interpreter, check, memory_wanted=lambda: recorder.memory_wanted
+            )
+        if begin_at and frame.sequence == begin_at:
+            recorder.start_recording()
         frames.offer(frame)
         do(frame.sequence, interpreter, last)
         if measured:
@@ -123,7 +129,7 @@ def record_frames(frames_measured, folder: Path, generator: str, do, anchor_from
     return session
 
 
-def record(video: Path, folder: Path, generator: str, count: int) -> Path:
+def record(video: Path, folder: Path, generator: str, count: int, begin_at: int = 0) -> Path:
     """Record with all that befalls a live source, and with what operators do in the midst of it."""
 
     def do(sequence, interpreter, _):
@@ -132,7 +138,8 @@ def record(video: Path, folder: Path, generator: str, count: int) -> Path:
         elif sequence == count // 2:
             interpreter.namer.anchor([Anchor(1, -2, tube(interpreter.namer.rule, 20))], 1, 0)
 
-    return record_frames(as_a_live_source_gives_them(video, count), folder, generator, do)
+    frames = as_a_live_source_gives_them(video, count)
+    return record_frames(frames, folder, generator, do, begin_at=begin_at)
 
 
 @pytest.mark.parametrize(("video", "generator"), VIDEOS)
@@ -153,6 +160,50 @@ def test_skipped_bad_and_reopened_frames_are_measured_again_to_the_last_bit(shar
         comparison.accept(frame, results)
     assert comparison.same, comparison.lines()
     assert comparison.equal == session.counts().measured == count - count // 4
+
+
+@pytest.mark.parametrize(("video", "generator"), VIDEOS)
+@pytest.mark.parametrize("begin_at", [10, 15])
+def test_a_recording_that_begins_in_the_midst_begins_with_what_was_remembered(
+    shared, tmp_path, video, generator, begin_at
+):
+    count = 60 if video.startswith("v0") else 28
+    session = open_session(record(shared / "bowl" / "videos" / video, tmp_path, generator, count, begin_at))
+    assert not session.about.from_start
+    assert list(verify_session(session.folder)) == []
+    assert session.size_bytes < 100e6
+    memory = session.memory()
+    comparison = Comparison(session, remembered=True)
+    for frame, results in measured_as_recorded(session, memory):
+        comparison.accept(frame, results)
+    assert comparison.same, comparison.lines()
+    assert comparison.inexact == 0
+    assert comparison.equal == session.counts().measured == sum(k % 4 != 3 for k in range(begin_at, count))
+
+
+def test_without_what_was_remembered_it_would_differ_and_a_changed_byte_of_it_is_found(shared, tmp_path, capsys):
+    video, generator = VIDEOS[0]
+    session = open_session(record(shared / "bowl" / "videos" / video, tmp_path, generator, 30, 10))
+    for options in (["--check"], ["--no-viewer", "--no-console", "--speed", "max"]):
+        assert main(["replay", str(session.folder), *options]) == 0
+        assert "recorded     15 frames equal to the last bit (" in capsys.readouterr().out
+    assert main(["replay", str(session.folder), "--check", "--target", "nearest"]) == 1
+    assert "differ after frames that are not recorded" in capsys.readouterr().out
+    comparison = Comparison(session)
+    for frame, results in measured_as_recorded(session):
+        comparison.accept(frame, results)
+    assert comparison.inexact > 0
+    path = session.folder / "memory.npz"
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+    assert [f.file for f in verify_session(session.folder)] == ["memory.npz"]
+    with pytest.raises(ConfigError, match="was changed"):
+        session.memory()
+    assert remembered(session) is None
+    path.unlink()
+    assert [f.file for f in verify_session(session.folder)] == ["memory.npz"]
+    assert remembered(session) is None
 
 
 @pytest.mark.parametrize(("video", "generator", "leap_to"), [(*VIDEOS[0], 100), (*VIDEOS[1], 100)])

@@ -111,12 +111,15 @@ class FakeMeasurer:
 
     def __init__(self, answer=None):
         self.answer = answer or (lambda: [nothing_found()])
-        self.calls = []
+        self.calls, self.memory = [], {}
         self.resets = 0
 
     def measure(self, pixels, time_ns, field="unknown"):
         self.calls.append((pixels.shape, time_ns, field))
         return self.answer()
+
+    def recall(self, memory):
+        pass
 
     def settle_index(self, index, shift):
         return True

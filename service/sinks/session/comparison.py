@@ -31,21 +31,24 @@ def exact_text(line: Mapping[str, Any]) -> str:
 class Comparison:
     """A sink that holds each result against the recorded one. What took how long is not compared.
 
-    Frames after one that the recorder lost, or before the first restart in a session that began in the midst of a
-    watch, were measured with a memory of frames that are not there: where they differ, that is counted apart.
+    Frames after one that the recorder lost were measured with a memory of frames that are not there, and so are those
+    before the first restart in a session that began in the midst of a watch, where what was remembered then is not
+    known: where they differ, that is counted apart.
 
     Parameters
     ----------
     session
         What was recorded.
+    remembered
+        Whether it is measured again with what was remembered when it began.
     """
 
     name = "comparison"
 
-    def __init__(self, session: RecordedSession) -> None:
+    def __init__(self, session: RecordedSession, *, remembered: bool = False) -> None:
         self._answers: Iterator[Answered] = session.answers()
         self._generation = 0
-        self.exact = session.about.from_start
+        self.exact = session.about.from_start or remembered
         """Whether the frames so far are all that the results so far were measured from."""
         self._over = False
         self.equal = self.different = self.inexact = self.damaged = 0

@@ -16,12 +16,13 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 __all__ = [
-    "ABOUT", "CONFIG", "CSV", "EVENTS", "EVIDENCE", "LOCK", "RESULTS", "STATION", "VIEWER", "SessionLock", "is_full",
-    "is_running", "make_folder", "session_folders", "size_bytes",
+    "ABOUT", "CONFIG", "CSV", "EVENTS", "EVIDENCE", "LOCK", "MEMORY", "RESULTS", "STATION", "VIEWER", "SessionLock",
+    "is_full", "is_running", "make_folder", "session_folders", "size_bytes",
 ]  # fmt: skip
 
 ABOUT, RESULTS, EVENTS, CSV, VIEWER = "session.toml", "results.jsonl", "events.jsonl", "results.csv", "viewer.rrd"
 CONFIG, EVIDENCE = "config", "evidence"
+MEMORY = "memory.npz"
 STATION = "station.toml"
 LOCK = ".recording"
 """Held locked as long as the session is being recorded, by whatever program; gone when it was closed."""

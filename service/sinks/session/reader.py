@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import itertools
 import json
 import zlib
 from dataclasses import dataclass, replace
@@ -16,7 +17,18 @@ from drivers.session_index import INDEX, Closed, Evidence, Fault, Header, Measur
 from drivers.session_replay import recorded_pixels
 from service.sinks.evidence import RECORDS, read_records
 from service.sinks.session.about import file_sha256, read_about
-from service.sinks.session.places import ABOUT, CONFIG, EVENTS, EVIDENCE, RESULTS, STATION, is_running, size_bytes
+from service.sinks.session.memory import Memory
+from service.sinks.session.places import (
+    ABOUT,
+    CONFIG,
+    EVENTS,
+    EVIDENCE,
+    MEMORY,
+    RESULTS,
+    STATION,
+    is_running,
+    size_bytes,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -150,6 +162,26 @@ class RecordedSession:
         closed = SessionEnd.RECORDING if is_running(self.folder) else SessionEnd.INTERRUPTED
         end = closed if reason is None else SessionEnd.CLOSED
         return SessionCounts(frames, measured, evidence, overflowed, began_ns, ended_ns, faults, end, reason)
+
+    def memory(self) -> dict[str, Any] | None:
+        """What measuring remembered before the first frame that it measured; None where it began with the session.
+
+        Raises
+        ------
+        ConfigError
+            It was changed, or is of another version.
+        """
+        until_first = itertools.takewhile(lambda item: not isinstance(item, Measured), self.index())
+        said = [i.values["memory"] for i in until_first if isinstance(i, Outside) and "memory" in i.values]
+        if not said:
+            return None
+        try:
+            data = (self.folder / MEMORY).read_bytes()
+        except OSError as error:
+            raise ConfigError(f"{self.folder / MEMORY}: cannot be read: {error.strerror}") from None
+        if Memory.sha256(data) != said[0]:
+            raise ConfigError(f"{self.folder / MEMORY}: was changed: its hash is not the one in the index")
+        return Memory.from_bytes(data).values()
 
     def answers(self) -> Iterator[Answered]:
         """Give every measured frame with its results, in the order of measuring."""

@@ -78,6 +78,9 @@ class SessionRecorder:
         What to record, and where.
     clock
         The one that `Frame.received_ns` was read from.
+    remembers
+        Whether results bring what was remembered before their frame, when `memory_wanted`: a session that begins in the
+        midst of a watch then begins with that.
     viewer_for
         Makes the sink that records what the viewer shows, into a file; None: that is not recorded.
     wall_ns
@@ -93,11 +96,13 @@ class SessionRecorder:
         plan: RecordingPlan,
         clock: Clock,
         *,
+        remembers: bool = False,
         viewer_for: Callable[[Path], QueuedSink] | None = None,
         wall_ns: Callable[[], int] = time.time_ns,
         free: Callable[[Path], int] = free_bytes,
     ) -> None:
         self._plan, self._clock, self._viewer_for, self._wall_ns = plan, clock, viewer_for, wall_ns
+        self._remembers = remembers
         self._frames: FrameSource | None = None
         self._device: dict[str, Any] = {}
         self._answers: collections.deque[tuple[FrameKey | None, Sequence[FrameResult]]] = collections.deque()
@@ -130,6 +135,12 @@ class SessionRecorder:
         again, self._device = bool(self._device), device(grabber)
         if again:
             self.event(f"{grabber.name} was opened again", kind="device", device=self._device)
+
+    @property
+    def memory_wanted(self) -> bool:
+        """Whether the next results are to bring what was remembered before their frame. Callable from any thread."""
+        running = self._running
+        return running is not None and running.awaits_memory
 
     # -- the sink ------------------------------------------------------------------------------------------------------
 
@@ -321,7 +332,7 @@ class SessionRecorder:
         self._events.clear()
         self._failure = None
         self._overflow_told = 0 if self._frames is None else self._frames.overflowed
-        self._running = RunningSession(session, self._wall_ns)
+        self._running = RunningSession(session, self._wall_ns, awaits_memory=self._remembers and not from_start)
         self._running.writer.event("began", f"recording of {self._plan.what} begins")
         if self._viewer_for is not None:
             viewer = self._viewer_for(self._running.folder / VIEWER)

@@ -32,7 +32,9 @@ def frame_key(frame: Frame) -> FrameKey:
 class RunningSession:
     """Writes one session, in one thread. Calls raise OSError, or FFmpeg's error, where there is no room."""
 
-    def __init__(self, session: Session, wall_ns: Callable[[], int]) -> None:
+    def __init__(self, session: Session, wall_ns: Callable[[], int], *, awaits_memory: bool = False) -> None:
+        self.awaits_memory = awaits_memory
+        """Whether no frame counts as measured yet, for what was remembered before the first one is still to come."""
         self.writer: SessionWriter = session.writer
         self._evidence = EvidenceLog(
             self.writer.folder / EVIDENCE,
@@ -76,13 +78,24 @@ class RunningSession:
             Whether one that was not recorded until now never will be.
         """
         if key is None:
-            self.writer.answer(None, ())
+            if not self.awaits_memory:
+                self.writer.answer(None, ())
             return True
         number = self._number_of(key)
         if number is None and self._last_ns <= key[3] and not no_more_frames:
             return False
+        if self.awaits_memory and not self._remember(number, results):
+            return True
         if number is not None or (self._first_ns is not None and key[3] >= self._first_ns):
             self.writer.answer(number, results)
+        return True
+
+    def _remember(self, number: int | None, results: Sequence[FrameResult]) -> bool:
+        """Write what was remembered before the first frame that was recorded; False where this is not yet that one."""
+        if number is None or (memory := results[0].memory) is None:
+            return False
+        self.awaits_memory = False
+        self.writer.remember(memory)
         return True
 
     def _number_of(self, key: FrameKey) -> int | None:

@@ -8,14 +8,37 @@ from typing import IO, TYPE_CHECKING
 
 from drivers.checked_lines import read_checked
 from drivers.errors import ConfigError, UnsupportedFormatError
-from drivers.session_index import INDEX, VIDEO, Closed, Evidence, Fault, Finished, Header, Measured, Row, Written
+from drivers.session_index import (
+    INDEX,
+    VIDEO,
+    Closed,
+    Evidence,
+    Fault,
+    Finished,
+    Header,
+    Measured,
+    Outside,
+    Row,
+    Written,
+)
 from drivers.session_index import read_index as read_items
 from drivers.session_replay import recorded_pixels
 from service.sinks.evidence_check import EvidenceCheck
 from service.sinks.session.about import file_sha256, read_about
 from service.sinks.session.configuration import joint_sha256
 from service.sinks.session.finding import Finding
-from service.sinks.session.places import ABOUT, CONFIG, CSV, EVENTS, EVIDENCE, LOCK, RESULTS, VIEWER, is_running
+from service.sinks.session.places import (
+    ABOUT,
+    CONFIG,
+    CSV,
+    EVENTS,
+    EVIDENCE,
+    LOCK,
+    MEMORY,
+    RESULTS,
+    VIEWER,
+    is_running,
+)  # fmt: skip
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,7 +49,7 @@ if TYPE_CHECKING:
 __all__ = ["verify_session"]
 
 BLOCK_BYTES = 1 << 20
-KNOWN = {ABOUT, INDEX, EVENTS, RESULTS, CSV, VIEWER, LOCK, CONFIG, VIDEO, EVIDENCE}
+KNOWN = {ABOUT, INDEX, EVENTS, RESULTS, CSV, VIEWER, LOCK, MEMORY, CONFIG, VIDEO, EVIDENCE}
 
 
 def verify_session(folder: Path, *, videos: bool = True) -> Iterator[Finding]:
@@ -49,6 +72,7 @@ class _Verification:
         self._folder = folder
         self._header: Header | None = None
         self._closed: Closed | None = None
+        self._memory: str | None = None
         self._videos: dict[str, Finished | Written | None] = {}
         self._evidence = EvidenceCheck(folder)
         self._frames = self._measured = self._results_end = 0
@@ -59,6 +83,8 @@ class _Verification:
         yield from self._about()
         for name, recorded in (self._closed.sha256 if self._closed is not None else {}).items():
             yield from _hashed(self._folder, name, recorded)
+        if self._memory is not None:
+            yield from _hashed(self._folder, MEMORY, self._memory)
         yield from self._events()
         for name, said in self._videos.items() if videos else ():
             yield from self._video(name, said)
@@ -103,6 +129,8 @@ class _Verification:
                 self._evidence.witnessed.append(item)
             case Closed():
                 self._closed = item
+            case Outside():
+                self._memory = item.values.get("memory", self._memory)
             case _:
                 pass
 

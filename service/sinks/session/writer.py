@@ -24,7 +24,8 @@ from drivers.session_index import (
     pixels_crc32,
 )
 from service.sinks.session.about import file_sha256, write_about
-from service.sinks.session.places import CSV, EVENTS, RESULTS, VIEWER, SessionLock
+from service.sinks.session.memory import Memory
+from service.sinks.session.places import CSV, EVENTS, MEMORY, RESULTS, VIEWER, SessionLock
 from service.sinks.session.surroundings import utc_text
 from service.sinks.session.video import HashedFile, VideoFiles
 from service.sinks.table import CsvWriter
@@ -123,6 +124,7 @@ class SessionWriter:
         self._results_bytes = 0
         self._viewer: FollowedFile | None = None
         self._stream: Stream | None = None
+        self._memory_sha256: str | None = None
         self._names: set[str] = set()
         self._new_names: list[str] = []
         self._named_ns: int | None = None
@@ -187,15 +189,25 @@ class SessionWriter:
         while self._video.finished:
             self._index.append(self._video.finished.pop(0).record())
 
+    def remember(self, memory: Memory) -> None:
+        """Write what measuring remembered before the first frame; its hash goes into the index with the next answer."""
+        if memory.tree:
+            data = memory.to_bytes()
+            (self.folder / MEMORY).write_bytes(data)
+            self._memory_sha256 = Memory.sha256(data)
+
     def answer(self, number: int | None, results: Sequence[FrameResult]) -> None:
         """Append a measured frame's results; `number` is None where the frame itself was lost here."""
         lines = [result.to_json() for result in results]
         for line in lines:
             self._results.write(line)
         for result in results:
-            if result.outside:
+            outside = dict(result.outside or {})
+            if self._memory_sha256 is not None:
+                outside["memory"], self._memory_sha256 = self._memory_sha256, None
+            if outside:
                 m = result.measurement
-                self._index.append(Outside(m.time_ns, m.field, result.outside).record())
+                self._index.append(Outside(m.time_ns, m.field, outside).record())
         text = "".join(f"{line}\n" for line in lines).encode("ascii")
         self._index.append(Measured(number, self._results_bytes, len(text), zlib.crc32(text)).record())
         self._results_bytes += len(text)

@@ -4,6 +4,7 @@ import errno
 import json
 import math
 import time
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from drivers.errors import ConfigError, EndOfRecordingError
 from drivers.session_index import INDEX, Closed, Overflow, Row, read_index
 from drivers.session_replay import SessionGrabber
 from service.sinks.session.control import RecordingError
+from service.sinks.session.memory import Memory
 from service.sinks.session.places import CSV, EVENTS, RESULTS
 from service.sinks.session.reader import SessionEnd, open_session
 from service.sinks.session.verification import verify_session
@@ -173,6 +175,50 @@ def test_recording_starts_and_stops_when_asked(tmp_path):
     assert not session.about.from_start
     assert [a.row.sequence for a in session.answers()] == [1]
     assert [i.reason for i in session.index() if isinstance(i, Closed)] == ["stopped by the operator"]
+
+
+def test_what_is_recorded_in_the_midst_counts_as_measured_once_what_was_remembered_has_come(tmp_path):
+    with Recording(tmp_path, enabled=False, remembers=True) as recording:
+        recorder = recording.recorder
+        recording.feed(frame(0))
+        assert not recorder.memory_wanted
+        recorder.start_recording()
+        assert recorder.memory_wanted
+        before = frame(1)
+        recorder.accept(before, remembering(results(before), 1))  # of a frame that is not in the session
+        recording.feed(frame(2))  # measured before it was asked for
+        third, fourth = frame(3), frame(4)
+        for f in (third, fourth):
+            recording.frames.offer(f)
+            recorder.accept(f, remembering(results(f), f.sequence))
+        until(lambda: recorder.state.measured == 2)
+        assert not recorder.memory_wanted
+        recording.feed(frame(5))
+    (folder,) = tmp_path.iterdir()
+    session = open_session(folder)
+    assert [a.row.sequence for a in session.answers()] == [3, 4, 5]
+    assert session.counts().frames == 4
+    assert session.memory() == {"before": 3}
+    assert list(verify_session(folder)) == []
+
+
+def test_a_session_from_the_start_waits_for_no_memory_and_one_that_cannot_be_kept_is_done_without(tmp_path):
+    with Recording(tmp_path, remembers=True) as recording:
+        assert not recording.recorder.memory_wanted
+        recording.feed(frame(0))
+        until(lambda: recording.recorder.state.measured == 1)
+        recording.recorder.stop_recording()
+        folder = recording.recorder.start_recording()
+        f = frame(1)
+        recording.frames.offer(f)
+        recording.recorder.accept(f, (replace(results(f)[0], memory=Memory.none()),))
+        until(lambda: recording.recorder.state.measured == 1)
+    assert open_session(folder).memory() is None
+    assert list(verify_session(folder)) == []
+
+
+def remembering(given, number):
+    return (replace(given[0], memory=Memory.of({"before": number})), *given[1:])
 
 
 def test_nothing_is_asked_of_a_recorder_that_does_not_run(tmp_path):
