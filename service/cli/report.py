@@ -25,7 +25,7 @@ def run(args: argparse.Namespace) -> int:
     """Write it; returns the exit status."""
     if not is_session(args.session):
         raise ConfigError(f"{args.session}: is no recorded session; bowlsight sessions lists those there are")
-    session = open_session(args.session)
+    session = open_session(args.session, damaged=True)
     out = args.out or Path(f"{args.session.resolve().name}.html")
     if args.session.resolve() in out.resolve().parents:
         raise ConfigError(
@@ -38,9 +38,12 @@ def run(args: argparse.Namespace) -> int:
 
     tqdm.monitor_interval = 0  # no thread of its own
     with tqdm(disable=None, leave=False) as bar:
+        shown = ""
 
         def show(what: str, done: int, total: int) -> None:
-            if done == 1:
+            nonlocal shown
+            if what != shown:
+                shown = what
                 bar.reset(total)
                 bar.set_description(what)
             bar.update(done - bar.n)

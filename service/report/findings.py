@@ -10,7 +10,7 @@ from service.sinks.session.places import EVIDENCE
 from service.sinks.session.verification import verify_session
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from service.report.digest import Digest
@@ -48,9 +48,9 @@ class Checked:
         return f"✔ holds: {self.records:,} record{'s' * (self.records != 1)}, each as it was written"
 
 
-def check(folder: Path, records: int) -> Checked:
-    """Check all of a session but its video."""
-    return Checked(list(verify_session(folder, videos=False)), records)
+def check(folder: Path, records: int, progress: Callable[[int, int], None]) -> Checked:
+    """Check all of a session but its video; `progress` as in `verify_session`."""
+    return Checked(list(verify_session(folder, videos=False, progress=progress)), records)
 
 
 def checked_section(checked: Checked, digest: Digest) -> Html:

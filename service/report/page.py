@@ -68,7 +68,7 @@ def make_report(
         Told what is being done, how much of it is done, and how much it is.
     """
     records = _records(session)
-    checked = check(session.folder, len(records))
+    checked = check(session.folder, len(records), lambda done, total: progress("checking", done, total))
     digest = read_digest(session, lambda done, total: progress("results", done, total))
     alarms = recorded_alarms(session.events())
     station = _station(session, digest)

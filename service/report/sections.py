@@ -64,6 +64,11 @@ def summary_section(session: RecordedSession, digest: Digest, checked: Checked, 
 
 def _notes(session: RecordedSession, digest: Digest) -> Html:
     notes = []
+    if session.damage is not None:
+        notes.append(
+            f"✖ The session's description cannot be read: {session.damage}. Who recorded it, with which device and"
+            " software, is not known; calibration and configuration are what lies in its folder now."
+        )
     if not digest.verdicts:
         notes.append("No guide was set up: there are neither offsets nor verdicts.")
     if not session.about.from_start:

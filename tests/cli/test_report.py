@@ -1,8 +1,18 @@
 """`bowlsight report`: writes one file, changes nothing else, and says in one line why it cannot."""
 
+import contextlib
+import os
+import pty
+import re
+import sys
+import termios
+from pathlib import Path
+
 import pytest
 
 from service.cli import main
+from service.report.page import make_report
+from service.sinks.session.reader import open_session
 from tests.sinks.session.recorded import record_with_evidence
 
 
@@ -66,10 +76,52 @@ def test_what_is_no_session_is_refused_in_one_line(tmp_path, capsys, name):
     assert "is no recorded session" in error
 
 
-def test_a_damaged_description_is_refused_in_one_line(tmp_path, capsys):
+@pytest.mark.parametrize("damage", ["schema = ", None])
+def test_without_its_description_a_session_is_reported_as_far_as_it_goes(tmp_path, capsys, damage):
     folder = record_with_evidence(tmp_path, count=1)
-    (folder / "session.toml").write_text("schema = ")
-    assert main(["report", str(folder), "--out", str(tmp_path / "r.html")]) == 2
-    error = capsys.readouterr().err
-    assert error.count("\n") == 1
-    assert "session.toml" in error
+    if damage is None:
+        (folder / "session.toml").unlink()
+    else:
+        (folder / "session.toml").write_text(damage)
+    assert main(["report", str(folder), "--out", str(tmp_path / "r.html")]) == 1
+    assert "named in it" in capsys.readouterr().out
+    page = (tmp_path / "r.html").read_text()
+    assert "description cannot be read: " in page
+    assert "UNKNOWN" in page
+    assert re.search("session.toml: (was changed|cannot be read)", page)
+    assert "holds: 3 records" in page  # they are chained to a hash that the index has too
+    assert "claimed" in page
+    assert "open_browser = false" in page  # the configuration, as it lies there
+    assert "frames measured" in page
+
+
+def test_each_part_of_the_work_tells_how_far_it_is(session):
+    told = {}
+
+    def progress(what, done, total):
+        told.setdefault(what, []).append((done, total))
+
+    make_report(open_session(session), 0, progress)
+    assert list(told) == ["checking", "results", "pictures"]
+    for steps in told.values():
+        assert [done for done, _ in steps] == sorted(done for done, _ in steps)
+        assert steps[-1][0] == steps[-1][1]
+        assert len({total for _, total in steps}) == 1
+    assert len(told["checking"]) == 30
+
+
+def test_in_a_terminal_all_of_it_is_shown(session, tmp_path):
+    command = [sys.executable, "-c", "import sys; from service.cli import main; sys.exit(main())", "report"]
+    child, master = pty.fork()
+    if child == 0:
+        os.chdir(Path(__file__).parents[2])
+        termios.tcsetwinsize(0, (24, 100))
+        os.execv(command[0], [*command, str(session), "--out", str(tmp_path / "r.html")])
+    said = b""
+    with contextlib.suppress(OSError):  # it ended
+        while more := os.read(master, 1000):
+            said += more
+    assert os.waitpid(child, 0)[1] == 0
+    os.close(master)
+    assert b"checking: " in said
+    assert b"report of" in said

@@ -11,13 +11,14 @@ import tomli_w
 from drivers.errors import ConfigError
 from service.config.cameras import write_atomically
 from service.config.table import read_toml
-from service.sinks.session.places import ABOUT
+from service.sinks.session.places import ABOUT, CONFIG
+from service.sinks.session.surroundings import utc_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-__all__ = ["SCHEMA", "SessionAbout", "file_sha256", "read_about", "write_about"]
+__all__ = ["SCHEMA", "SessionAbout", "file_sha256", "read_about", "unknown_about", "write_about"]
 
 SCHEMA = 1
 
@@ -62,6 +63,30 @@ class SessionAbout:
     software: Mapping[str, str] = field(default_factory=dict)
     machine: Mapping[str, Any] = field(default_factory=dict)
     files: Mapping[str, str] = field(default_factory=dict)
+
+
+def unknown_about(folder: Path, began_ns: int) -> SessionAbout:
+    """What can be told of a session whose description cannot be read: of what lies in its folder now, sound or not.
+
+    Parameters
+    ----------
+    began_ns
+        When its first frame was received, UTC since 1970.
+    """
+    files = {str(path.relative_to(folder / CONFIG)): path for path in sorted((folder / CONFIG).rglob("*.toml"))}
+    return SessionAbout(
+        what="UNKNOWN",
+        started_utc=utc_text(began_ns),
+        utc_source="source of the time unknown",
+        from_start=True,
+        operator="",
+        generator="",
+        steam_generator="",
+        leg="",
+        results_schema=0,
+        configuration_sha256="unknown",
+        files={name: file_sha256(path) for name, path in files.items()},
+    )
 
 
 def write_about(folder: Path, about: SessionAbout) -> str:

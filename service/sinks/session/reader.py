@@ -16,7 +16,7 @@ from drivers.errors import ConfigError
 from drivers.session_index import INDEX, Closed, Evidence, Fault, Header, Measured, Outside, Overflow, Row, read_index
 from drivers.session_replay import recorded_pixels
 from service.sinks.evidence import RECORDS, read_records
-from service.sinks.session.about import file_sha256, read_about
+from service.sinks.session.about import file_sha256, read_about, unknown_about
 from service.sinks.session.memory import Memory
 from service.sinks.session.places import (
     ABOUT,
@@ -110,10 +110,13 @@ class RecordedSession:
         Where it is.
     about
         Its description.
+    damage
+        Why that cannot be read, where it cannot: then it has what can be told without.
     """
 
     folder: Path
     about: SessionAbout
+    damage: str | None = None
 
     @property
     def name(self) -> str:
@@ -216,7 +219,9 @@ class RecordedSession:
         """Give the evidence records that are sound; whether all are, `verify_session` says."""
         folder = self.folder / EVIDENCE
         if (folder / RECORDS).is_file():
-            for _, record, problem in read_records(folder, file_sha256(self.folder / ABOUT)):
+            first = next(self.index(), None)
+            genesis = first.session_sha256 if isinstance(first, Header) else file_sha256(self.folder / ABOUT)
+            for _, record, problem in read_records(folder, genesis):
                 if record is not None and problem is None:
                     yield record
 
@@ -235,8 +240,13 @@ def _answered(row: Row | None, text: bytes, measured: Measured) -> Answered:
     return Answered(row, [json.loads(line) for line in text.splitlines()])
 
 
-def open_session(path: Path) -> RecordedSession:
+def open_session(path: Path, *, damaged: bool = False) -> RecordedSession:
     """Open a session's folder.
+
+    Parameters
+    ----------
+    damaged
+        Open it without its description too, where that cannot be read.
 
     Raises
     ------
@@ -249,8 +259,13 @@ def open_session(path: Path) -> RecordedSession:
         raise ConfigError(
             f"{path}: is no recorded session: it has no {INDEX}; bowlsight sessions lists those there are"
         )
-    session = RecordedSession(path, read_about(path))
-    first = next(session.index(), None)
+    first = next(read_index(path / INDEX), None)
     if not isinstance(first, Header | Fault):
         raise ConfigError(f"{path / INDEX}: is empty: the recording was interrupted before it began")
-    return session
+    try:
+        return RecordedSession(path, read_about(path))
+    except ConfigError as error:
+        if not damaged:
+            raise
+        frame = next((item for item in read_index(path / INDEX) if isinstance(item, Row)), None)
+        return RecordedSession(path, unknown_about(path, 0 if frame is None else frame.wall_ns), str(error))

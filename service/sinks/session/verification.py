@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import zlib
 from typing import IO, TYPE_CHECKING
 
@@ -41,7 +42,7 @@ from service.sinks.session.places import (
 )  # fmt: skip
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from drivers.session_index import Item
@@ -52,7 +53,9 @@ BLOCK_BYTES = 1 << 20
 KNOWN = {ABOUT, INDEX, EVENTS, RESULTS, CSV, VIEWER, LOCK, MEMORY, CONFIG, VIDEO, EVIDENCE}
 
 
-def verify_session(folder: Path, *, videos: bool = True) -> Iterator[Finding]:
+def verify_session(
+    folder: Path, *, videos: bool = True, progress: Callable[[int, int], None] = lambda _done, _total: None
+) -> Iterator[Finding]:
     """Check a session's folder against its own hashes and check sums; nothing is given where all is well.
 
     Parameters
@@ -61,15 +64,17 @@ def verify_session(folder: Path, *, videos: bool = True) -> Iterator[Finding]:
         The session's.
     videos
         Whether to read the video files too, which takes as long as the disk needs for all of them.
+    progress
+        Told how many bytes of the results were checked along with the index, and how many there are.
     """
-    yield from _Verification(folder).findings(videos=videos)
+    yield from _Verification(folder, progress).findings(videos=videos)
 
 
 class _Verification:
     """One pass over a session of any length; what is kept grows with its files and its evidence alone."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, progress: Callable[[int, int], None]) -> None:
+        self._folder, self._progress = folder, progress
         self._header: Header | None = None
         self._closed: Closed | None = None
         self._memory: str | None = None
@@ -99,11 +104,13 @@ class _Verification:
         """Read the index, and the result log along with it."""
         try:
             with (self._folder / RESULTS).open("rb") as results:
+                total = results.seek(0, io.SEEK_END)
                 for item in read_items(self._folder / INDEX):
                     if isinstance(item, Fault):
                         yield Finding(INDEX, f"line {item.line} {item.problem}", grave=not item.torn)
                     elif isinstance(item, Measured):
                         yield from self._lines(item, results)
+                        self._progress(self._results_end, total)
                     else:
                         self._take(item)
                 results.seek(self._results_end)
