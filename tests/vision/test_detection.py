@@ -40,8 +40,9 @@ def test_uneven_light_hides_none(light):
 def test_sixteen_bits_give_what_eight_give():
     grey = eight(discs())
     small, large = find_blobs(grey, (10.0, 10.0)), find_blobs(grey.astype(np.uint16) * np.uint16(257), (10.0, 10.0))
-    np.testing.assert_allclose(large.center_px, small.center_px, atol=0.05)
-    np.testing.assert_allclose(large.response, small.response, rtol=0.02)
+    same = np.linalg.norm(large.center_px[:, None] - small.center_px, axis=2).argmin(axis=0)
+    np.testing.assert_allclose(large.center_px[same], small.center_px, atol=0.05)
+    np.testing.assert_allclose(large.response[same], small.response, rtol=0.02)
 
 
 def test_a_field_has_its_own_radius_in_each_direction():
