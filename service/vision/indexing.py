@@ -24,7 +24,11 @@ __all__ = ["UNINDEXED", "index_blobs"]
 
 UNINDEXED = -10_000
 NEIGHBOURS = 12
+STARS = 500
+"""Blobs, the strongest ones, about which a star is looked for."""
 SEEDS = 12
+WHOLE = 0.75
+"""Share of its places' neighbours that a lattice over most of the blobs holds, for no other to be looked for."""
 REACH = 90
 """Largest row or column from the seed."""
 TOLERANCE = 0.22
@@ -63,22 +67,53 @@ def index_blobs(center_px: NDArray[np.float64], lattice: Lattice, pitch_px: floa
 
 
 @compiled
-def _nearest(points: Array, reach: float) -> tuple[Ints, Array]:
+def _cells(points: Array, size: float) -> tuple[Ints, Ints, int]:
+    """Sort points into square cells: the points in order of cells, where each cell begins, and cells in a row."""
+    n = points.shape[0]
+    left, top = points[:, 0].min(), points[:, 1].min()
+    across, down = int((points[:, 0].max() - left) / size) + 3, int((points[:, 1].max() - top) / size) + 3
+    cell, begin = np.empty(n, np.int64), np.zeros(across * down + 1, np.int64)
+    for i in range(n):  # a margin of empty cells all around
+        cell[i] = (int((points[i, 1] - top) / size) + 1) * across + int((points[i, 0] - left) / size) + 1
+        begin[cell[i] + 1] += 1
+    for c in range(across * down):
+        begin[c + 1] += begin[c]
+    order, placed = np.empty(n, np.int64), begin.copy()
+    for i in range(n):
+        order[placed[cell[i]]] = i
+        placed[cell[i]] += 1
+    return order, begin, across
+
+
+@compiled
+def _nearest(points: Array, reach: float) -> Ints:
     """Indices, (n, NEIGHBOURS), of each point's nearest others within `reach`, nearest first; -1 where fewer."""
     n = points.shape[0]
     out, far = np.full((n, NEIGHBOURS), -1, np.int64), np.full((n, NEIGHBOURS), reach * reach)
-    for i in range(n):
-        for j in range(n):
-            dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
-            d = dx * dx + dy * dy
-            if j == i or d >= far[i, NEIGHBOURS - 1]:
-                continue
-            k = NEIGHBOURS - 1
-            while k > 0 and far[i, k - 1] > d:
-                far[i, k], out[i, k] = far[i, k - 1], out[i, k - 1]
-                k -= 1
-            far[i, k], out[i, k] = d, j
-    return out, far
+    size = max(reach, (np.ptp(points[:, 0]) + np.ptp(points[:, 1])) / n)
+    order, begin, across = _cells(points, size)
+    cells = begin.shape[0] - 1
+    for c in range(across + 1, cells - across - 1):
+        for row in range(-1, 2):
+            first, last = begin[c + row * across - 1], begin[c + row * across + 2]
+            for k in range(begin[c], begin[c + 1]):
+                for m in range(first, last):
+                    _keep_nearest(points, order[k], order[m], out, far)
+    return out
+
+
+@compiled
+def _keep_nearest(points: Array, i: int, j: int, out: Ints, far: Array) -> None:
+    """Take j among the nearest of i, if it is one."""
+    dx, dy = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+    d = dx * dx + dy * dy
+    if j == i or d >= far[i, NEIGHBOURS - 1]:
+        return
+    k = NEIGHBOURS - 1
+    while k > 0 and far[i, k - 1] > d:
+        far[i, k], out[i, k] = far[i, k - 1], out[i, k - 1]
+        k -= 1
+    far[i, k], out[i, k] = d, j
 
 
 @compiled
@@ -98,40 +133,46 @@ def _at(points: Array, near: Ints, i: int, x: float, y: float, tolerance: float)
 @compiled
 def _star(points: Array, near: Ints, i: int, steps: Ints, pitch: float, angle: float, basis: Array) -> float:
     """Find the best local basis, (2, 2) rows a1 a2 px, about one blob; gives how well its star is filled, 0 to 1."""
-    best = 0.0
+    x, y, length, count = np.empty(NEIGHBOURS), np.empty(NEIGHBOURS), np.empty(NEIGHBOURS), 0
     for p in range(NEIGHBOURS):
-        a = near[i, p]
-        if a < 0:
+        j = near[i, p]
+        if j < 0:
             break
-        ax, ay = points[a, 0] - points[i, 0], points[a, 1] - points[i, 1]
-        la = math.hypot(ax, ay)
+        x[p], y[p] = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+        length[p] = math.hypot(x[p], y[p])
+        count += 1
+    best, c, s = 0.0, math.cos(angle), math.sin(angle)
+    for p in range(count):
+        la = length[p]
         if la < 0.6 * pitch or la > 1.6 * pitch:
             continue
-        for q in range(NEIGHBOURS):
-            b = near[i, q]
-            if b < 0:
-                break
-            bx, by = points[b, 0] - points[i, 0], points[b, 1] - points[i, 1]
-            lb = math.hypot(bx, by)
+        for q in range(count):
+            lb = length[q]
             if lb < 0.6 * pitch or lb > 1.6 * pitch or lb < 0.6 * la or la < 0.6 * lb:
                 continue
-            turn = math.atan2(ax * by - ay * bx, ax * bx + ay * by)
-            if abs(turn - angle) > 0.5:
+            along = c * (x[p] * x[q] + y[p] * y[q]) + s * (x[p] * y[q] - y[p] * x[q])
+            if along < math.cos(0.5) * la * lb:
                 continue
-            short = min(la, lb)
-            filled = 0.0
-            for s in range(steps.shape[0]):
-                x = points[i, 0] + steps[s, 1] * ax + steps[s, 0] * bx
-                y = points[i, 1] + steps[s, 1] * ay + steps[s, 0] * by
-                j = _at(points, near, i, x, y, TOLERANCE * short)
-                if j >= 0:
-                    off = math.hypot(points[j, 0] - x, points[j, 1] - y) / short
-                    filled += 1.0 - off
-            filled = filled / steps.shape[0] - 0.1 * (la + lb) / pitch / 2.0  # of two that fit, the shorter
-            if filled > best:
+            filled = _filled(x[:count], y[:count], p, q, steps, min(la, lb)) - 0.1 * (la + lb) / pitch / 2.0
+            if filled > best:  # of two that fit, the shorter
                 best = filled
-                basis[0, 0], basis[0, 1], basis[1, 0], basis[1, 1] = ax, ay, bx, by
+                basis[0, 0], basis[0, 1], basis[1, 0], basis[1, 1] = x[p], y[p], x[q], y[q]
     return best
+
+
+@compiled
+def _filled(x: Array, y: Array, p: int, q: int, steps: Ints, short: float) -> float:
+    """How well the neighbours at (x, y) fill the star that two of them span, 0 to 1."""
+    filled = 0.0
+    for s in range(steps.shape[0]):
+        to_x, to_y = steps[s, 1] * x[p] + steps[s, 0] * x[q], steps[s, 1] * y[p] + steps[s, 0] * y[q]
+        best = (TOLERANCE * short) ** 2
+        nearest = best
+        for k in range(x.shape[0]):
+            nearest = min(nearest, (x[k] - to_x) ** 2 + (y[k] - to_y) ** 2)
+        if nearest < best:
+            filled += 1.0 - math.sqrt(nearest) / short
+    return float(filled / steps.shape[0])
 
 
 @compiled
@@ -201,9 +242,9 @@ def _grow(points: Array, near: Ints, seed: int, start: Array, steps: Ints, index
 @compiled
 def _index(points: Array, steps: Ints, pitch: float, angle: float) -> tuple[Ints, int]:
     n = points.shape[0]
-    near, _ = _nearest(points, 2.4 * pitch)
-    quality, basis = np.empty(n), np.empty((n, 2, 2))
-    for i in range(n):
+    near = _nearest(points, 2.4 * pitch)
+    quality, basis = np.zeros(n), np.empty((n, 2, 2))
+    for i in range(min(n, STARS)):
         quality[i] = _star(points, near, i, steps, pitch, angle, basis[i])
     best, count, most = np.full((n, 2), UNINDEXED, np.int64), 0, 0
     trial, used = np.empty((n, 2), np.int64), np.zeros(n, np.bool_)
@@ -221,4 +262,6 @@ def _index(points: Array, steps: Ints, pitch: float, angle: float) -> tuple[Ints
         if links > most:
             count, most = size, links
             best[:] = trial
+        if 2 * size > n and links > WHOLE * steps.shape[0] * size:
+            break
     return best, count
