@@ -18,12 +18,16 @@ if TYPE_CHECKING:
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["Sites", "sites_in_picture"]
+__all__ = ["Sites", "lattice_places", "numbered", "sites_in_picture"]
 
 BORDER = 48
 """Points of the picture's border that are traced back to the sheet."""
 REACH = 100
 """Most rows or columns from where the picture's middle looks: a whole tubesheet has fewer across."""
+MANY = 1 << 32
+"""More columns than there are."""
+FARTHEST = 5000.0
+"""Rows or columns from the origin beyond which a point counts as at the horizon."""
 FAR = 6.0
 """A border ray that meets the sheet beyond this many times the middle's depth is taken as looking past it."""
 
@@ -57,6 +61,46 @@ def sites_in_picture(
 ) -> Sites:
     """Lattice places whose centre lies in the picture, or within `margin_px` of it (negative: at least that far in)."""
     return Sites(*_sites(vector, rotation, translation_mm, lattice.basis_mm, size_px[0], size_px[1], margin_px))
+
+
+def numbered(row: NDArray[np.int64], column: NDArray[np.int64]) -> NDArray[np.int64]:
+    """One number for each place; it rises along sites, and steps between places add up as their rows and columns do."""
+    return row * MANY + column
+
+
+@compiled
+def lattice_places(v: Array, R: Array, t: Array, basis: Array, points_px: Array) -> tuple[NDArray[np.int64], Array]:
+    """Which lattice place each picture point, (n, 2) px, shows under a pose.
+
+    Returns
+    -------
+    index
+        (n, 2) row and column of the place.
+    off_mm
+        (n,) how far from it the point lies in the sheet; infinite where it shows no place.
+    """
+    n = points_px.shape[0]
+    index, off = np.zeros((n, 2), np.int64), np.full(n, np.inf)
+    inverse = np.linalg.inv(basis)
+    height = R[0, 2] * t[0] + R[1, 2] * t[1] + R[2, 2] * t[2]
+    for i in range(n):
+        u, w = undistort_point(v, (points_px[i, 0] - v[2]) / v[0], (points_px[i, 1] - v[3]) / v[1])
+        depth = height / (R[0, 2] * u + R[1, 2] * w + R[2, 2])
+        if not depth > 0.0:  # NaN as well
+            continue
+        dx, dy, dz = u * depth - t[0], w * depth - t[1], depth - t[2]
+        x, y = R[0, 0] * dx + R[1, 0] * dy + R[2, 0] * dz, R[0, 1] * dx + R[1, 1] * dy + R[2, 1] * dz
+        column, row = x * inverse[0, 0] + y * inverse[1, 0], x * inverse[0, 1] + y * inverse[1, 1]
+        if not max(abs(column), abs(row)) < FARTHEST:
+            continue
+        c, r = np.rint(column), np.rint(row)
+        index[i, 0], index[i, 1] = int(r), int(c)
+        x, y = (
+            (column - c) * basis[0, 0] + (row - r) * basis[1, 0],
+            (column - c) * basis[0, 1] + (row - r) * basis[1, 1],
+        )
+        off[i] = math.hypot(x, y)
+    return index, off
 
 
 @compiled
