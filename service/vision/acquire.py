@@ -14,6 +14,7 @@ from service.vision.indexing import UNINDEXED, index_blobs
 from service.vision.motion import looked_at
 from service.vision.pose import Fit, fit_pose, pose_from_plane, prior_of
 from service.vision.projection import undistort
+from service.vision.sites import lattice_places, numbered
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -41,7 +42,9 @@ CLEAR = 30.0
 BLOB_SIGMA = 0.12
 """One sigma of a blob's centre, in rim radii."""
 SAME_SITE = 0.25
-"""How far from a lattice place, in lattice steps, a blob may stand and still be taken for it."""
+"""How far from a lattice place, in pitches, a blob may stand and still be taken for it."""
+REINDEXED = 3
+"""How often, at the most, blobs are indexed anew."""
 FOCAL_STARTS = (0.7, 1.2, 2.2, 4.5)
 """Focal lengths to start from where none is known, in picture widths."""
 
@@ -81,7 +84,10 @@ class _Level:
 def candidates(
     image: Image, camera: Camera, lattice: Lattice, watch: Stopwatch, hint_px: float | None = None
 ) -> Iterator[Candidate]:
-    """Suggest poses, the likeliest first.
+    """Suggest poses: of each scale on which most blobs form a lattice as soon as it is met, then of the others.
+
+    Scales go from large to small, as the pictures of large ones are small, and a lattice that is a bit too coarse for
+    its scale is as good as any.
 
     Parameters
     ----------
@@ -90,19 +96,26 @@ def candidates(
     hint_px
         Rim radius along x, where an earlier picture told it: that scale alone is tried first.
     """
-    tried: list[_Level] = []
     pyramid = _Pyramid(image)
-    for radius in [hint_px] if hint_px else []:
-        tried += _indexed_blobs(pyramid, radius, camera, lattice, watch)
-    yield from _fitted(tried, camera, lattice, watch)
-    levels: list[_Level] = []
+    if hint_px:
+        hinted = _indexed_blobs(pyramid, hint_px, camera, lattice, watch)
+        if hinted is not None:
+            yield from _fitted(hinted, camera, lattice, watch)
+    waiting: list[_Level] = []
+    best = 0.0
     for radius in _radii(image, camera):
-        levels += _indexed_blobs(pyramid, radius, camera, lattice, watch)
-        best = max((level.merit for level in levels), default=0.0)
-        if best > CLEAR and levels[-1].radius_px == radius and levels[-1].merit < best / 2:
+        level = _indexed_blobs(pyramid, radius, camera, lattice, watch)
+        if level is None:
+            continue
+        if level.merit > CLEAR:
+            yield from _fitted(level, camera, lattice, watch)
+        else:
+            waiting.append(level)
+        best = max(best, level.merit)
+        if best > CLEAR and level.merit < best / 2:
             break  # finer blobs explain less: the scale was passed
-    levels.sort(key=lambda level: -level.merit)
-    yield from _fitted(levels, camera, lattice, watch)
+    for level in sorted(waiting, key=lambda level: -level.merit):
+        yield from _fitted(level, camera, lattice, watch)
 
 
 def _radii(image: Image, camera: Camera) -> list[float]:
@@ -122,33 +135,33 @@ def _height_of_pixel(camera: Camera) -> float:
 
 def _indexed_blobs(
     pyramid: _Pyramid, radius_px: float, camera: Camera, lattice: Lattice, watch: Stopwatch
-) -> list[_Level]:
-    """Find and index blobs of one scale; an empty list where they suggest no lattice."""
+) -> _Level | None:
+    """Find and index blobs of one scale; None where they suggest no lattice."""
     ratio = _height_of_pixel(camera)
     picture, shrink = pyramid.at(radius_px)
     blobs = find_blobs(picture, (radius_px / shrink, radius_px / shrink / ratio))
     center = (blobs.center_px + 0.5) * shrink - 0.5
     watch.lap("detect")
     if len(center) < LEAST_INDEXED:
-        return []
+        return None
     pitch = radius_px * lattice.pitch_mm / lattice.rim_radius_mm
     index, count = index_blobs(center * [1.0, ratio], lattice, pitch)
     watch.lap("lattice")
     if count < LEAST_INDEXED:
-        return []
-    return [_Level(radius_px, Blobs(center, blobs.response), index, count * (count / len(center)) ** 2)]
+        return None
+    return _Level(radius_px, Blobs(center, blobs.response), index, count * (count / len(center)) ** 2)
 
 
-def _fitted(levels: list[_Level], camera: Camera, lattice: Lattice, watch: Stopwatch) -> Iterator[Candidate]:
-    for level in levels:
-        fit = _fit_lattice(level.blobs.center_px, level.index, camera, lattice, level.radius_px)
-        watch.lap("pose")
-        if fit is None:
-            continue
-        v = fit.camera.vector()
-        depth = float(fit.rotation[2, :2] @ looked_at(fit.rotation, fit.translation_mm) + fit.translation_mm[2])
-        radius_px = lattice.rim_radius_mm * v[0] / depth
-        yield Candidate(fit, radius_px, int((fit.weight > 0).sum()), level.blobs)
+def _fitted(level: _Level, camera: Camera, lattice: Lattice, watch: Stopwatch) -> Iterator[Candidate]:
+    """Suggest the pose of one scale, if it has one."""
+    fit = _fit_lattice(level.blobs.center_px, level.index, camera, lattice, level.radius_px)
+    watch.lap("pose")
+    if fit is None:
+        return
+    v = fit.camera.vector()
+    depth = float(fit.rotation[2, :2] @ looked_at(fit.rotation, fit.translation_mm) + fit.translation_mm[2])
+    radius_px = lattice.rim_radius_mm * v[0] / depth
+    yield Candidate(fit, radius_px, int((fit.weight > 0).sum()), level.blobs)
 
 
 class _Pyramid:
@@ -173,20 +186,26 @@ def _fit_lattice(
 ) -> Fit | None:
     """Pose from indexed blobs; then all blobs are indexed anew by where they fall, which bridges lanes and gaps."""
     known = index[:, 0] != UNINDEXED
-    best: Fit | None = None
-    for start, prior in _starts(camera):
-        fit = _fit_indexed(center_px[known], index[known], start, lattice, prior, radius_px)
-        for _ in range(3):
-            if fit is None:
-                break
-            again, ok = _reindexed(center_px, fit, lattice)
-            if ok.sum() < LEAST_INDEXED:
-                fit = None
-                break
-            fit = _fit_indexed(center_px[ok], again[ok], fit.camera, lattice, prior, radius_px, fit)
-        if fit is not None and (best is None or _merit(fit) > _merit(best)):
-            best = fit
-    return best
+    fits = [
+        (fit, prior)
+        for start, prior in _starts(camera)
+        if (fit := _fit_indexed(center_px[known], index[known], start, lattice, prior, radius_px)) is not None
+    ]
+    if not fits:
+        return None
+    fit, prior = max(fits, key=lambda of: _merit(of[0]))
+    for _ in range(REINDEXED):
+        again, ok = _reindexed(center_px, fit, lattice)
+        if ok.sum() < LEAST_INDEXED:
+            return None
+        if np.array_equal(ok, known) and np.array_equal(again[ok], index[known]):
+            break
+        index, known = again, ok
+        refit = _fit_indexed(center_px[ok], again[ok], fit.camera, lattice, prior, radius_px, fit)
+        if refit is None:
+            return None
+        fit = refit
+    return fit
 
 
 def _merit(fit: Fit) -> float:
@@ -224,17 +243,10 @@ def _fit_indexed(
 
 def _reindexed(center_px: Array, fit: Fit, lattice: Lattice) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
     """Lattice index of every blob under a pose, and which of them stand near enough to their place, one a place."""
-    ray = undistort(fit.camera.vector(), center_px)
-    normal = fit.rotation[:, 2]
-    depth = float(normal @ fit.translation_mm) / (ray @ normal[:2] + normal[2])
-    point = np.column_stack([ray * depth[:, None], depth]) - fit.translation_mm
-    place = lattice.lattice_coordinates((point @ fit.rotation)[:, :2])
-    ok = np.isfinite(place).all(axis=1) & (depth > 0) & (np.abs(place) < -UNINDEXED / 2).all(axis=1)
-    index = np.full(place.shape, UNINDEXED, np.int64)
-    index[ok] = np.rint(place[ok]).astype(np.int64)
-    off = np.where(ok, np.linalg.norm(np.where(ok[:, None], place - index, 0.0), axis=1), np.inf)
+    vector, basis = fit.camera.vector(), lattice.basis_mm
+    index, off = lattice_places(vector, fit.rotation, fit.translation_mm, basis, center_px)
     order = np.argsort(off, kind="stable")
-    _, first = np.unique(index[order], axis=0, return_index=True)
+    _, first = np.unique(numbered(index[order, 0], index[order, 1]), return_index=True)
     alone = np.zeros(len(index), np.bool_)
     alone[order[first]] = True
-    return index, ok & alone & (off < SAME_SITE)
+    return index, alone & (off < SAME_SITE * lattice.pitch_mm)

@@ -44,6 +44,8 @@ TRIES = 3
 """Candidates that are refined before a picture is given up."""
 CERTAIN_SHARE = 0.4
 """A candidate that shows this share of its tubes needs no comparison with others."""
+SAME_SCALE = math.log(1.1)
+"""A candidate as large as a proven one is the same lattice: wrong ones differ by the root of 2 or 3, or by 2."""
 KEPT_SHARE = 0.5
 """A pose whose share of measured tubes falls below this part of the last one is looked at again."""
 SAFE_GAP = 0.2
@@ -256,8 +258,12 @@ class Tracker:
     def _acquire(self, image: Image, known: Camera, parity: int | None, time_ns: int, watch: Stopwatch) -> Seen:
         """Find the sheet with nothing to go by, indexed as before where it was known before."""
         best: tuple[Refined, Proof] | None = None
-        reason = "no tube pattern is seen"
-        for tried, candidate in enumerate(candidates(image, known, self.lattice, watch, self._radius_px)):
+        reason, proven_px = "no tube pattern is seen", math.nan
+        tried = 0
+        for candidate in candidates(image, known, self.lattice, watch, self._radius_px):
+            if best is not None and abs(math.log(candidate.radius_px / proven_px)) < SAME_SCALE:
+                continue
+            tried += 1
             rotation, translation = self._indexed(candidate.fit, time_ns)
             camera = candidate.fit.camera
             refined = refine(
@@ -271,8 +277,8 @@ class Tracker:
                 if proof.reason is not None:
                     reason = proof.reason
                 elif best is None or refined.used.sum() > best[0].used.sum():
-                    best = refined, proof
-            if tried >= TRIES - 1 or (best is not None and best[1].share > CERTAIN_SHARE):
+                    best, proven_px = (refined, proof), candidate.radius_px
+            if tried >= TRIES or (best is not None and best[1].share > CERTAIN_SHARE):
                 break
         if best is None:
             return Seen(None, reason, math.nan)
