@@ -37,8 +37,9 @@ LEAST_TUBES = 6
 SETTLED, STILL_SETTLED = 0.05, 0.15
 """Edge widths that the tubes may lie off, in the middle of them all, for a pass to be the last; and where the profile
 is known from the picture before, so that a shift is all that there is to find."""
-STEADY_WIDTH = 0.93
-"""Least part of a profile's width that the next one may have, for a pass to be the last."""
+STEADY_WIDTH, NEAR_WIDTH = 0.93, 0.75
+"""Least part of a profile's width that the next one may have, for a pass to be the last; and for it to be the last on a
+few tubes."""
 BROAD = 2.0
 """Widths of the learnt edge that is looked for where tubes lie beyond its reach."""
 APPROACHES, LEAST_GUIDES = 3, 0.5
@@ -47,6 +48,8 @@ OVERSHOT = 0.4
 """Part of the shift that a broader edge is found with, which is too much."""
 NARROWING = 0.36
 """Most that the search narrows from pass to pass."""
+ON_ALL = 2
+"""Passes, at the least, on all tubes, where the first are on a few."""
 LIKELY_WIDTH_PX = 1.2
 """Width to go on with where no clear edge tells it."""
 
@@ -154,6 +157,7 @@ def refine(
     before: Common | None = None,
     afresh: bool = True,
     parity: int | None = None,
+    few: int | None = None,
 ) -> Refined | None:
     """Measure all tubes in the picture and solve for the pose, until it stands still; None where too few are seen.
 
@@ -174,20 +178,25 @@ def refine(
         Whether to find that anew, going on from `before`, rather than to take it as it was.
     parity
         0 or 1 where the picture is the top or bottom field, None for a frame: passed through.
+    few
+        How many tubes, spread over the picture, to measure until the pose hardly moves, before all are; None: all from
+        the first pass on.
     """
     for step in range(passes):
-        looked = _look(image, camera, lattice, rotation, translation_mm, profile)
+        looked = _look(image, camera, lattice, rotation, translation_mm, profile, few)
         watch.lap("detect")
-        if looked is None:
+        if looked is None and few is None:
             return None
+        if looked is None:
+            few = None
+            continue
         sites, rims, used = looked
         as_before = before is not None and not afresh
         narrow = profile if as_before else _narrowed(rims.profile(), profile)
-        settled = SETTLED if before is None else STILL_SETTLED
-        steady = (
-            _moved_px(rims, used) < settled * profile.width_px and narrow.width_px > profile.width_px * STEADY_WIDTH
-        )
-        if step == passes - 1 or steady:
+        moved, settled = _moved_px(rims, used), SETTLED if before is None else STILL_SETTLED
+        steady = moved < settled * profile.width_px and narrow.width_px > STEADY_WIDTH * profile.width_px
+        near = moved < STILL_SETTLED * profile.width_px and narrow.width_px > NEAR_WIDTH * profile.width_px
+        if step == passes - 1 or (steady and few is None):
             refined = _solved(
                 *looked, narrow, image.shape, camera, lattice, prior, rotation, translation_mm, before, afresh, parity
             )
@@ -198,18 +207,22 @@ def refine(
             lattice, prior,
         )  # fmt: skip
         camera, rotation, translation_mm, profile = fit.camera, fit.rotation, fit.translation_mm, narrow
+        few = None if near or step >= passes - 1 - ON_ALL else few
         watch.lap("pose")
     return None
 
 
 def _look(
-    image: Image, camera: Camera, lattice: Lattice, rotation: Array, translation_mm: Array, profile: EdgeProfile
-) -> tuple[Sites, Rims, NDArray[np.bool_]] | None:
-    """Measure the tubes in the picture; None where too few are seen."""
+    image: Image, camera: Camera, lattice: Lattice, rotation: Array, translation_mm: Array, profile: EdgeProfile,
+    few: int | None,
+) -> tuple[Sites, Rims, NDArray[np.bool_]] | None:  # fmt: skip
+    """Measure the tubes in the picture, or `few` of them; None where too few are seen."""
     vector, size = camera.vector(), (image.shape[1], image.shape[0])
     sites = sites_in_picture(vector, rotation, translation_mm, lattice, size, 0.0)
     if len(sites) < LEAST_TUBES:
         return None
+    if few is not None and len(sites) > few:
+        sites = sites.take(np.linspace(0, len(sites) - 1, few).astype(np.int64))
     rims = measure_rims(image, vector, rotation, translation_mm, sites.sheet_mm, lattice, profile)
     used = accepted(rims, profile.width_px)
     return None if used.sum() < LEAST_TUBES else (sites, rims, used)

@@ -40,6 +40,8 @@ START_WIDTH = 0.2
 """Width of the edge that is looked for about a rough pose, in rim radii."""
 ACQUIRE_PASSES = 7
 TRACK_PASSES = 3
+FEW = 60
+"""Tubes that a newly found pose is refined on first: enough to bring all others near their edges."""
 TRIES = 3
 """Candidates that are refined before a picture is given up."""
 CERTAIN_SHARE = 0.4
@@ -269,7 +271,7 @@ class Tracker:
             refined = refine(
                 image, camera, self.lattice, prior_of(known, camera.focal_length_mm), rotation, translation,
                 start_profile(START_WIDTH * candidate.radius_px), passes=ACQUIRE_PASSES, watch=watch,
-                parity=parity,
+                parity=parity, few=FEW,
             )  # fmt: skip
             if refined is not None:
                 proof = prove(image, refined, self.lattice, candidate.blobs)
