@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar, cast
+from typing import TYPE_CHECKING, TypeAlias, TypeVar, cast
 
 import numba
 import numpy as np
@@ -12,7 +12,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["compiled", "median_in_place", "median_of", "sort_columns"]
+    Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+__all__ = ["compiled", "median_in_place", "median_of", "packed", "sort_columns"]
 
 F = TypeVar("F", bound="Callable[..., object]")
 
@@ -28,6 +30,13 @@ def compiled(function: F) -> F:
     flags = {"contract", "reassoc", "arcp", "nsz"}
     jit = numba.njit(cache=True, nogil=True, fastmath=flags, error_model="numpy", forceinline=True)
     return cast("F", jit(function))
+
+
+def packed(pixels: Image) -> Image:
+    """The same pixels without gaps between rows and read-only: for other arrays kernels would be compiled again."""
+    same = np.ascontiguousarray(pixels).view()
+    same.flags.writeable = False
+    return cast("Image", same)
 
 
 @compiled

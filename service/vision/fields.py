@@ -12,14 +12,20 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from service.vision.compiled import packed
+from service.vision.refinement import accepted
+from service.vision.rims import measure_rims
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from service.vision.lattice import Lattice
     from service.vision.refinement import Refined
 
     Array: TypeAlias = NDArray[np.float64]
+    Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-__all__ = ["Interlace", "Scan", "field_motion"]
+__all__ = ["Interlace", "Scan", "field_motion", "fields_agree"]
 
 LEAST_MOTION_PX = 0.2
 """A smaller difference between fields is left to the codec."""
@@ -29,6 +35,8 @@ MOVED_PX = 1.5
 """Motion from frame to frame that two fields would have shown, if there were two."""
 STEADY = 10
 """So many moving frames without a difference between fields, and the video is progressive."""
+LOOKED_AT = 60
+"""Tubes, at the most, that are looked at to see whether both fields show them in the same places."""
 COMMON = 8
 """Least tubes that both fields must show."""
 
@@ -77,7 +85,16 @@ class Interlace:
             return
         if motion.clear:
             self.scan = Scan.INTERLACED
-        elif frame_motion_px > MOVED_PX:
+        else:
+            self._stood(frame_motion_px)
+
+    def agreed(self, frame_motion_px: float) -> None:
+        """Learn from one frame in whose fields the same tubes stand in the same places."""
+        self._torn, self._whole = False, True
+        self._stood(frame_motion_px)
+
+    def _stood(self, frame_motion_px: float) -> None:
+        if frame_motion_px > MOVED_PX:
             self._steady += 1
             if self._steady >= STEADY:
                 self.scan = Scan.PROGRESSIVE
@@ -112,6 +129,26 @@ class FieldMotion:
         self.length_px = float(np.hypot(*middle))
         error = 1.25 * float(np.hypot(*stray)) / math.sqrt(len(difference_px))
         self.clear = self.length_px > LEAST_MOTION_PX + SURE * error
+
+
+def fields_agree(frame: Image, refined: Refined, lattice: Lattice) -> bool:
+    """Whether some of a frame's tubes stand in the same places in both of its fields, by one look at each.
+
+    Only where they may not do fields have to be measured on their own.
+    """
+    used = np.flatnonzero(refined.used)
+    asked = refined.sites.sheet_mm[used[np.linspace(0, len(used) - 1, min(LOOKED_AT, len(used))).astype(np.int64)]]
+    fit, profile = refined.fit, refined.common.profile
+    shifts, seen = [], np.ones(len(asked), np.bool_)
+    for parity in (0, 1):
+        vector = fit.camera.of_field(parity).vector()
+        field = packed(frame[parity::2])
+        rims = measure_rims(field, vector, fit.rotation, fit.translation_mm, asked, lattice, profile)
+        seen &= accepted(rims, profile.width_px)
+        shifts.append(rims.shift_px)
+    if seen.sum() < max(COMMON, len(asked) / 2):
+        return False
+    return FieldMotion((shifts[1] - shifts[0])[seen] * [1.0, 2.0]).length_px < LEAST_MOTION_PX
 
 
 def field_motion(top: Refined, bottom: Refined) -> FieldMotion | None:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import cv2
 import numpy as np
 
 from service.vision.camera import Camera, TsaiLens
-from service.vision.compiled import median_of
+from service.vision.compiled import median_of, packed
 from service.vision.estimates import estimates
-from service.vision.fields import Interlace, Scan
+from service.vision.fields import Interlace, Scan, fields_agree
 from service.vision.keyframes import Keyframe
 from service.vision.lattice import Arrangement, Lattice
 from service.vision.measurement import Doubt, Lock, Measurement, Tubes
@@ -140,8 +140,12 @@ class Measurer:
         self._tracker = before.copy()
         seen: dict[int, Seen] = {}
         answer = self._answer(whole, None, time_ns, seen)
-        top, bottom = self._both_fields(whole, seen[FRAME].refined, before, time_ns)
-        self._interlace.compared(seen[FRAME].refined, top, bottom, self._tracker.motion_px(self._period_ns))
+        refined, motion_px = seen[FRAME].refined, self._tracker.motion_px(self._period_ns)
+        if refined is not None and fields_agree(whole, refined, self._lattice):
+            self._interlace.agreed(motion_px)
+            return [answer]
+        top, bottom = self._both_fields(whole, refined, before, time_ns)
+        self._interlace.compared(refined, top, bottom, motion_px)
         if self._interlace.scan is not Scan.INTERLACED or top is None:
             return [answer]
         self._tracker = before.copy()
@@ -151,15 +155,17 @@ class Measurer:
     def _both_fields(
         self, whole: Image, refined: Refined | None, before: Tracker, time_ns: int
     ) -> tuple[Refined | None, Refined | None]:
-        """Measure top and bottom field, each about the frame's pose; where that shows none, one about the other."""
+        """Measure top and bottom field, each about the frame's pose; where that shows none, one about the other.
+
+        A bottom field has nothing to tell where the top one shows no pattern.
+        """
         tracker = before.copy()
         if refined is not None:
             tracker.follow(refined, time_ns)
-        seen = []
-        for parity in (0, 1):
-            field = packed(whole[parity::2])
-            seen.append(tracker.step(field, parity, time_ns, Stopwatch(self._tick)).refined)
-        return seen[0], seen[1]
+        top = tracker.step(packed(whole[0::2]), 0, time_ns, Stopwatch(self._tick)).refined
+        if top is None:
+            return None, None
+        return top, tracker.step(packed(whole[1::2]), 1, time_ns, Stopwatch(self._tick)).refined
 
     def _answer(
         self, image: Image, parity: int | None, time_ns: int, seen: dict[int, Seen] | None = None
@@ -191,13 +197,6 @@ def doubts(seen: Seen, refined: Refined, pose: Pose, lattice: Lattice, stale: bo
         Doubt.CALIBRATION: stale or refined.fit.scatter_factor > STALE,
     }
     return tuple(doubt for doubt, there in found.items() if there)
-
-
-def packed(pixels: Image) -> Image:
-    """The same pixels without gaps between rows and read-only: for other arrays kernels would be compiled again."""
-    same = np.ascontiguousarray(pixels).view()
-    same.flags.writeable = False
-    return cast("Image", same)
 
 
 def warm_up(tick: Callable[[], int]) -> None:
