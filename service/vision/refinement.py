@@ -182,6 +182,7 @@ def refine(
         How many tubes, spread over the picture, to measure until the pose hardly moves, before all are; None: all from
         the first pass on.
     """
+    on_all, least = 0, 1 if few is None else ON_ALL
     for step in range(passes):
         looked = _look(image, camera, lattice, rotation, translation_mm, profile, few)
         watch.lap("detect")
@@ -196,7 +197,8 @@ def refine(
         moved, settled = _moved_px(rims, used), SETTLED if before is None else STILL_SETTLED
         steady = moved < settled * profile.width_px and narrow.width_px > STEADY_WIDTH * profile.width_px
         near = moved < STILL_SETTLED * profile.width_px and narrow.width_px > NEAR_WIDTH * profile.width_px
-        if step == passes - 1 or (steady and few is None):
+        on_all += few is None
+        if step == passes - 1 or (steady and on_all >= least):
             refined = _solved(
                 *looked, narrow, image.shape, camera, lattice, prior, rotation, translation_mm, before, afresh, parity
             )
