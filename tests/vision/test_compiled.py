@@ -6,7 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from service.vision.compiled import sort_columns
 
 ROOT = Path(__file__).parents[2]
 SOURCE = """
@@ -55,3 +58,12 @@ def test_the_first_run_gives_what_later_ones_give(tmp_path):
         for _ in range(2)
     ]  # fmt: skip
     assert runs[0] == runs[1] != ""
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8, 16, 20, 24])
+def test_columns_are_sorted_each_by_itself(count):
+    a = np.random.default_rng(count).normal(size=(count, 33)).astype(np.float32)
+    a[np.random.default_rng(1).random(a.shape) < 0.2] = np.inf
+    expected = np.sort(a, axis=0)
+    sort_columns(a)
+    assert np.array_equal(a, expected)

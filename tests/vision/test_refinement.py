@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from drivers.scene import CLEAN, NOMINAL
-from service.vision.edges import start_profile
+from service.vision.edges import EdgeProfile, start_profile
 from service.vision.measurement import Lock, Origin
+from service.vision.projection import project
+from service.vision.refinement import approach
 from service.vision.shapes import shapes_of
 from tests.scenes.rendered import PLAIN, errors_of, looking, view
 
@@ -126,3 +128,35 @@ def test_the_terms_of_a_ray_are_finite_however_thick_the_wall(wall_px):
     assert np.all(terms.information > 0)
     for numbers in (terms.basis, terms.first / terms.information, terms.edge, terms.moved, terms.prior):
         assert np.all(np.isfinite(numbers))
+
+
+def off_px(seen, pose):
+    """How far a pose is off in the picture's middle, px."""
+    middle, v = np.zeros((1, 2)), seen.camera.vector()
+    return float(np.hypot(*(project(v, *pose, middle) - project(v, seen.rotation, seen.translation_mm, middle))[0]))
+
+
+@pytest.mark.parametrize("edges_off", [-1.9, -1.2, -0.5, 0.3, 1.0, 1.9])
+@pytest.mark.parametrize("near", [True, False])
+def test_a_few_tubes_bring_a_pose_near(edges_off, near):
+    """From as far as an arm that speeds up gets ahead of its prediction, to what a full pass takes for settled."""
+    seen = view(look=REAL)
+    learnt = start_profile(1.0)
+    learnt = EdgeProfile(learnt.position_px, learnt.width_px, learnt.template, learnt=True)
+    rotation, translation = seen.rotation, seen.translation_mm
+    depth = float(translation[2])
+    start = translation + np.array([edges_off * learnt.width_px * depth / seen.camera.vector()[0], 0.0, 0.0])
+    rows, columns = (a.ravel() for a in np.mgrid[-2:3, -2:3])
+    guides = seen.lattice.sheet_points(rows, columns)
+    found = approach(seen.image, seen.camera, seen.lattice, rotation, start, guides, learnt, near=near)
+    assert off_px(seen, (rotation, start)) == pytest.approx(abs(edges_off), rel=0.1)
+    assert off_px(seen, found) < 0.15 * learnt.width_px
+
+
+def test_a_pose_stays_as_it_was_where_too_few_tubes_show():
+    seen = view(look=REAL)
+    rotation, translation = seen.rotation, seen.translation_mm
+    black = np.zeros_like(seen.image)
+    guides = seen.lattice.sheet_points(np.arange(8), np.arange(8))
+    found = approach(black, seen.camera, seen.lattice, rotation, translation, guides, start_profile(1.0), near=True)
+    assert found == (rotation, translation)
