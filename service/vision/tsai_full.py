@@ -2,7 +2,8 @@
 
 What Willson's `ccal_fo` seeks in the undistorted sensor plane is sought here in the picture, where the noise is, and
 to the end of the flat valley that f, Tz and the principal point share. A plane shows its principal point by the lens's
-distortion alone; so that an undistorted picture has an answer too, the point is expected near where `camera` has it.
+distortion alone; so that an undistorted picture has an answer too, the point is expected near where `camera` has it,
+and f near what Tsai's two stages then make of it.
 """
 
 from __future__ import annotations
@@ -33,8 +34,8 @@ __all__ = ["calibrate_full", "tsai_polish"]
 FEWEST_POINTS = 7
 START_FOCAL_LENGTHS = (0.7, 1.5, 3.0, 6.0)
 """In widths of the sensor: from wide angle to tele."""
-EXPECTED_FOCAL_LENGTH, FOCAL_LENGTH_SIGMA = 2.0, 1.5
-"""In widths of the sensor, and one sigma of its logarithm: a factor of 4.5 either way."""
+USUAL_FOCAL_LENGTH, FOCAL_LENGTH_SIGMA = 2.0, 1.5
+"""What is expected where Tsai's stages fail, in widths of the sensor; one sigma of its logarithm: a factor of 4.5."""
 CENTER_SIGMA = 0.15
 """How far the principal point may stand off, one sigma per axis, in picture widths."""
 ITERATIONS = 300
@@ -69,40 +70,48 @@ def tsai_polish(points_mm: Array, points_px: Array, camera: Camera) -> TsaiResul
 
 def _calibrate(method: str, points_mm: Array, points_px: Array, camera: Camera) -> TsaiResult:
     sheet, picture = checked_points(points_mm, points_px, FEWEST_POINTS)
-    found = [_minimum(replace(start, method=method), sheet, picture) for start in _starts(sheet, picture, camera)]
+    tsai, center = _tsai_start(sheet, picture, camera), camera.principal_point_px or camera.middle_px
+    usual_mm = USUAL_FOCAL_LENGTH * camera.image_size_px[0] * camera.pixel_pitch_mm[0]
+    expected = tsai.camera if tsai else with_values(camera, usual_mm, 0.0, center)
+    starts = [*([tsai] if tsai else []), *_flat_starts(sheet, picture, camera, center)]
+    found = [_minimum(replace(start, method=method), sheet, picture, expected) for start in starts]
     lowest, best = min(found, key=lambda pair: pair[0], default=(math.inf, None))
     if best is None or lowest == math.inf:
         raise DegenerateError("no view of a plane resembles the points; check that both columns list the same points")
-    return judged(best, sheet, picture, _expectation(best, best)[1])
+    return judged(best, sheet, picture, _expectation(best, expected)[1])
 
 
-def _expectation(result: TsaiResult, start: TsaiResult) -> tuple[Array, Array]:
+def _expectation(result: TsaiResult, expected: Camera) -> tuple[Array, Array]:
     """How far a result is from what one expects before seeing the points, in sigmas, and the derivatives of that."""
     if result.method == "polish":
         return np.zeros(0), CENTER_HELD
-    width, pitch = result.camera.image_size_px[0], result.camera.pixel_pitch_mm[0]
-    off = (np.array(result.principal_point_px) - start.principal_point_px) / (CENTER_SIGMA * width)
-    focal = math.log(result.focal_length_mm / (EXPECTED_FOCAL_LENGTH * width * pitch)) / FOCAL_LENGTH_SIGMA
+    width = result.camera.image_size_px[0]
+    off = (np.array(result.principal_point_px) - (expected.principal_point_px or (0, 0))) / (CENTER_SIGMA * width)
+    focal = math.log(result.focal_length_mm / (expected.focal_length_mm or 1.0)) / FOCAL_LENGTH_SIGMA
     slopes = np.zeros((3, 10))
     slopes[0, 6] = 1 / (result.focal_length_mm * FOCAL_LENGTH_SIGMA)
     slopes[1, 8] = slopes[2, 9] = 1 / (CENTER_SIGMA * width)
     return np.array([focal, *off]), slopes
 
 
-def _starts(sheet: Array, picture: Array, camera: Camera) -> Iterator[TsaiResult]:
-    """Tsai's answer, with the sheet's origin where his linear stage likes it; then a homography's for some f."""
-    center = camera.principal_point_px or camera.middle_px
-    origin = sheet[np.argmax(np.abs(picture[:, 1] - center[1]))]
+def _tsai_start(sheet: Array, picture: Array, camera: Camera) -> TsaiResult | None:
+    """Tsai's answer, with the sheet's origin where his linear stage likes it."""
+    _, cy = camera.principal_point_px or camera.middle_px
+    origin = sheet[np.argmax(np.abs(picture[:, 1] - cy))]
     try:
         start = coplanar_start(sheet - origin, picture, camera)
-        yield replace(start, doubts=(), translation_mm=start.translation_mm - start.rotation @ origin)
     except DegenerateError:
-        pass
-    sensor = (picture - center) * camera.pixel_pitch_mm / np.array([camera.sx or 1.0, 1.0])
+        return None
+    return replace(start, doubts=(), translation_mm=start.translation_mm - start.rotation @ origin)
+
+
+def _flat_starts(sheet: Array, picture: Array, camera: Camera, center_px: tuple[float, float]) -> Iterator[TsaiResult]:
+    """What the sheet's homography makes of some f, without distortion."""
+    sensor = (picture - center_px) * camera.pixel_pitch_mm / np.array([camera.sx or 1.0, 1.0])
     for widths in START_FOCAL_LENGTHS:
         f = widths * camera.image_size_px[0] * camera.pixel_pitch_mm[0]
         if pose := _pose(sheet, sensor / f):
-            yield TsaiResult("tsai", with_values(camera, f, 0.0, (center[0], center[1])), *pose)
+            yield TsaiResult("tsai", with_values(camera, f, 0.0, center_px), *pose)
 
 
 def _pose(sheet: Array, normalised: Array) -> tuple[Array, Array] | None:
@@ -119,7 +128,7 @@ def _pose(sheet: Array, normalised: Array) -> tuple[Array, Array] | None:
     return R, H[:, 2] * spread - R @ middle
 
 
-def _minimum(start: TsaiResult, sheet: Array, picture: Array) -> tuple[float, TsaiResult]:
+def _minimum(start: TsaiResult, sheet: Array, picture: Array, expected: Camera) -> tuple[float, TsaiResult]:
     """Lowest cost from a start on, and where: Levenberg-Marquardt, to the last digits."""
 
     def cost(result: TsaiResult, residuals: Array) -> float:
@@ -127,14 +136,15 @@ def _minimum(start: TsaiResult, sheet: Array, picture: Array) -> tuple[float, Ts
         mean_square = float((residuals**2).mean())
         if not (math.isfinite(mean_square) and result.focal_length_mm > 0):
             return math.inf
-        return residuals.size * math.log(mean_square + EXACT_PX**2) + float((_expectation(result, start)[0] ** 2).sum())
+        off = _expectation(result, expected)[0]
+        return residuals.size * math.log(mean_square + EXACT_PX**2) + float((off**2).sum())
 
     result, damping = start, 1e-3
     residuals = projected(result, sheet) - picture
     lowest = cost(result, residuals)
     for _ in range(ITERATIONS if math.isfinite(lowest) else 0):
         noise_px = math.sqrt(float((residuals**2).mean()) + EXACT_PX**2)
-        off, slopes = _expectation(result, start)
+        off, slopes = _expectation(result, expected)
         J = weighted_jacobian(result, sheet, noise_px * slopes)
         aim = -np.append(residuals, noise_px * off)
         gain = 0.0

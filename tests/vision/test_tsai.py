@@ -1,8 +1,10 @@
 import json
 import math
 
+import cv2
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from service.vision.camera import Camera, TsaiLens
 from service.vision.errors import DegenerateError
@@ -200,6 +202,38 @@ def test_full_finds_a_principal_point_far_off(seed):
     result = calibrate_full(scene.sheet, scene.picture(0.05, seed), started)
     assert result.principal_point_px == pytest.approx(CENTER, abs=5 * max(result.sigma.principal_point_px))
     assert result.focal_length_mm == pytest.approx(scene.f, abs=5 * result.sigma.focal_length_mm)
+    assert result.tz_over_f == pytest.approx(scene.tz_over_f, rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_full_is_the_least_squares_of_weak_points(seed):
+    """Two degrees of tilt and much noise leave a long flat valley; its bottom is found all the same."""
+    scene = Scene(tilt_deg=(1.5, -1.3), spin_deg=-8.0)
+    sheet, picture = np.column_stack((scene.sheet, np.zeros(len(scene.sheet)))), scene.picture(0.2, seed)
+
+    def residuals(p):
+        camera = with_values(
+            scene.camera, scene.f * (1 + p[6]), scene.kappa1 + p[7], (CENTER[0] + p[8], CENTER[1] + p[9])
+        )
+        rotation = cv2.Rodrigues(p[:3])[0] @ scene.rotation
+        return (projected(TsaiResult("full", camera, rotation, scene.translation + p[3:6]), sheet) - picture).ravel()
+
+    lowest = least_squares(residuals, np.zeros(10), x_scale="jac", ftol=1e-12, xtol=1e-12, gtol=1e-12)
+    result = calibrate_full(scene.sheet, picture, scene.camera)
+    assert lowest.success
+    assert result.sum_of_squares_px2 < 1.0002 * 2 * lowest.cost
+    scale = (scene.translation + lowest.x[3:6])[2] / (scene.f * (1 + lowest.x[6]))
+    assert result.tz_over_f == pytest.approx(scale, rel=2e-5)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_full_takes_from_tsais_stages_what_the_points_leave_open(seed):
+    """Without distortion and all but parallel, f and the principal point stand together; ccal_fo answers too."""
+    scene = Scene(tilt_deg=(1.5, -1.3), kappa1=0.0)
+    picture = scene.picture(0.05, seed)
+    result = calibrate_full(scene.sheet, picture, scene.camera)
+    assert abs(math.log(result.focal_length_mm / scene.f)) < 0.6
+    assert result.sigma.focal_length_mm > 0.3 * scene.f
     assert result.tz_over_f == pytest.approx(scene.tz_over_f, rel=1e-3)
 
 
