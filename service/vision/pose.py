@@ -172,7 +172,7 @@ def _normal_equations(
     b[:] = 0.0
     for i in range(z.shape[0]):
         w = weight[i]
-        if w <= 0.0:
+        if w <= 0.0 or math.isnan(px[i, 0]):  # at the start of a solution even most points may have no image
             continue
         dx, dy = z[i, 0] - px[i, 0], z[i, 1] - px[i, 1]
         for p in range(m):

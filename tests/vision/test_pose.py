@@ -28,3 +28,16 @@ def test_a_solution_never_steps_behind_the_camera():
         fit = fit_pose(SHEET, seen + away, covariance, began, ROTATION, T, LATTICE, prior_of(UNKNOWN, 1.84))
         assert np.isfinite(fit.covariance).all()
         assert np.isfinite(fit.residual_px).all(axis=1).sum() > len(SHEET) / 2
+
+
+def test_a_solution_may_start_with_most_points_behind_the_camera():
+    """So does a steep pose told under a tele lens, begun anew under a usual one."""
+    camera = Camera((640, 480), (0.005, 0.005), 6.4, TsaiLens(), (319.5, 239.5))
+    across = np.arange(-4, 5) * LATTICE.pitch_mm
+    sheet = np.array([[x, y] for x in across for y in across])
+    steep = np.array([[1.0, 0, 0], [0, 0.5, -(0.75**0.5)], [0, 0.75**0.5, 0.5]])
+    seen = project(camera.vector(), steep, np.array([0.0, 0, 250]), sheet)
+    covariance = np.tile([0.01, 0.0, 0.01], (len(sheet), 1))
+    fit = fit_pose(sheet, seen, covariance, camera, steep, np.array([0.0, 0, -30]), LATTICE, prior_of(camera))
+    assert np.isfinite(fit.covariance).all()
+    assert np.isfinite(fit.translation_mm).all()
