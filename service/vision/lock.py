@@ -10,6 +10,7 @@ import numpy as np
 from service.vision.indexing import STEPS
 from service.vision.refinement import accepted
 from service.vision.rims import measure_rims
+from service.vision.roundness import out_of_round
 from service.vision.sites import lattice_places, numbered
 
 if TYPE_CHECKING:
@@ -41,10 +42,13 @@ LEAST_COMPANY = 0.3
 0.6; on a lattice too fine by the root of 2 or 3, or by 2, tubes have no neighbours."""
 NEIGHBOURS = {6: STEPS[6], 4: STEPS[4][:4]}
 """(row, column) steps to the nearest places."""
+MOST_OUT_OF_ROUND = 0.036
+"""Most that outlines may stray from a circle, in radii: squares do by 0.045 and more, rims by 0.03 at the most."""
 MOST_STRAY = 3.0
 """Most that centres may stray beyond what they and the tubes' scatter explain."""
-MOST_OFFSET = 0.3
-"""Most that the edge may lie off the nominal rim, in rim radii: more means a wrong scale."""
+MOST_INSIDE, MOST_OUTSIDE = 0.3, 0.2
+"""Most that the edge may lie inside and outside of the nominal rim, in rim radii: more means a wrong scale. Lit bores
+narrow what is dark; nothing widens it by more than the tube's wall."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +65,8 @@ class Proof:
         Blobs on no lattice place, of those about as dark as the tubes measured: on a wrong lattice, many.
     company
         Neighbours of the measured tubes that are measured too: on a lattice too fine, hardly any.
+    out_of_round
+        How far their outlines stray from circles, in radii: where the pose or the pattern is another, far.
     reason
         None, or in words why it is not believed.
     """
@@ -69,6 +75,7 @@ class Proof:
     decoys: float
     strangers: float
     company: float
+    out_of_round: float
     reason: str | None
 
 
@@ -91,7 +98,10 @@ def prove(image: Image, refined: Refined, lattice: Lattice, blobs: Blobs) -> Pro
         found = max(found, int((accepted(rims, refined.common.profile.width_px, usual) & alike).sum()))
     decoys, strangers, company = found / len(asked), _strangers(refined, lattice, blobs), _company(refined, lattice)
     fits = decoys <= MOST_DECOYS and strangers <= MOST_STRANGERS and company >= LEAST_COMPANY
-    return Proof(share, decoys, strangers, company, _reason(refined, lattice, measured, share, fits=fits))
+    reason, stray = _reason(refined, lattice, measured, share, fits=fits), out_of_round(image, refined, lattice)
+    if reason is None and stray > MOST_OUT_OF_ROUND:
+        reason = "what stands in the tubes' places is not round"
+    return Proof(share, decoys, strangers, company, stray, reason)
 
 
 def _strangers(refined: Refined, lattice: Lattice, blobs: Blobs) -> float:
@@ -137,6 +147,6 @@ def _reason(refined: Refined, lattice: Lattice, measured: int, share: float, *, 
         return "the pattern does not fit the tube lattice"
     if refined.fit.scatter_factor > MOST_STRAY:
         return "tube centres do not fit the lattice"
-    if abs(refined.common.profile.position_px) > MOST_OFFSET * radius_px:
+    if not -MOST_INSIDE * radius_px <= refined.common.profile.position_px <= MOST_OUTSIDE * radius_px:
         return "tube ends are not of the expected size"
     return None

@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 
 from drivers.scene import ABSENT, GENERATORS, HARD, NOMINAL
+from service.vision.camera import Camera, TsaiLens
 from service.vision.lattice import Arrangement
 from service.vision.measurement import Lock
+from tests.scenes import foreign
 from tests.scenes.rendered import (
     ARRANGEMENTS,
     PLAIN,
     errors_of,
     film,
+    lattice_of,
     looking,
     measurer_of,
     sheet_of,
@@ -134,6 +137,37 @@ def test_what_is_no_tubesheet_is_not_taken_for_one(picture):
     assert m.lock is Lock.NONE
     assert m.reason
     assert m.doubt == ()
+
+
+FOREIGN = {
+    **{f"chessboard {side}": foreign.chessboard(side) for side in (12, 16, 24, 36, 56)},
+    "small board": foreign.board(24, 9, 6),
+    "large board": foreign.board(40, 7, 5),
+    **{f"squares {p}": foreign.squares(p, 0.65 * p) for p in (24, 40)},
+    "staggered squares": foreign.squares(24, 16, staggered=0.5),
+    "grid lines": foreign.grid_lines(24),
+    "bricks": foreign.bricks(60, 24),
+    "square bricks": foreign.bricks(40, 40),
+    "white tiles": foreign.bricks(40, 40, dark=False),
+    "diamonds": foreign.dots(30, 12, triangular=True, corners=4),
+    "dots far too small": foreign.dots(40, 5, triangular=False),
+    "rings": foreign.rings(24),
+    "writing": foreign.writing(24),
+}
+
+
+@pytest.mark.parametrize(("tilt_deg", "known"), [(0, True), (25, False), (50, False)])
+@pytest.mark.parametrize("pattern", FOREIGN.values(), ids=FOREIGN)
+def test_other_regular_patterns_are_not_taken_for_a_sheet_of_any_generator(pattern, tilt_deg, known):
+    """Squares stand on a lattice of tubes, and a square lattice seen aslant is a triangular one: shape tells."""
+    picture = foreign.photographed(pattern, tilt_deg)
+    camera = Camera(foreign.SIZE_PX, (0.005, 0.005))
+    if known:
+        camera = replace(camera, focal_length_mm=2.24, lens=TsaiLens(), principal_point_px=camera.middle_px)
+    for tubes in GENERATORS.values():
+        m = measurer_of(camera, lattice_of(tubes, NOMINAL)).measure(picture, 0, "progressive")[0]
+        assert m.lock is Lock.NONE
+        assert m.reason
 
 
 @pytest.mark.parametrize("seed", range(5))
