@@ -379,12 +379,20 @@ class Fit:
 
     def response(self, field_px: NDArray[np.float64]) -> NDArray[np.float64]:
         """How the solution, (6 + k,), would follow if all n centres were shifted by `field_px`, (n, 2), together."""
-        xx, xy, yy = self.information.T * self.weight
-        x, y = field_px.T
-        pull = np.column_stack([xx * x + xy * y, xy * x + yy * y])
-        return np.asarray(
-            self.covariance @ np.einsum("nip,ni->p", self.gradient, pull) / max(1.0, self.scatter_factor**2)
-        )
+        pull = _pull(self.gradient, self.information, self.weight, field_px)
+        return np.asarray(self.covariance @ pull / max(1.0, self.scatter_factor**2))
+
+
+@compiled
+def _pull(gradient: Array, information: Array, weight: Array, field: Array) -> Array:
+    """Right side of the normal equations, (6 + k,), for residuals (n, 2)."""
+    pull = np.zeros(gradient.shape[2])
+    for i in range(gradient.shape[0]):
+        xx, xy, yy = information[i, 0], information[i, 1], information[i, 2]
+        x, y = weight[i] * field[i, 0], weight[i] * field[i, 1]
+        for p in range(gradient.shape[2]):
+            pull[p] += gradient[i, 0, p] * (xx * x + xy * y) + gradient[i, 1, p] * (xy * x + yy * y)
+    return pull
 
 
 def prior_of(camera: Camera, focal_length_mm: float | None = None) -> Prior:
