@@ -136,8 +136,7 @@ class Measurer:
 
     def _undecided(self, pixels: Image, time_ns: int) -> list[Measurement]:
         """Answer for a frame of which nobody knows whether it is interlaced, and find that out."""
-        whole, before = packed(pixels), self._tracker
-        self._tracker = before.copy()
+        whole, before = packed(pixels), self._tracker.apart()  # its map must not learn what a comb moved
         seen: dict[int, Seen] = {}
         answer = self._answer(whole, None, time_ns, seen)
         refined, motion_px = seen[FRAME].refined, self._tracker.motion_px(self._period_ns)
@@ -148,7 +147,7 @@ class Measurer:
         self._interlace.compared(refined, top, bottom, motion_px)
         if self._interlace.scan is not Scan.INTERLACED or top is None:
             return [answer]
-        self._tracker = before.copy()
+        self._tracker = before
         self._tracker.follow(top, time_ns)
         return self._fields(pixels, time_ns, top_first=self._interlace.top_first)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from copy import copy
+from copy import copy, deepcopy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -116,6 +116,10 @@ class Tracker:
     def copy(self) -> Tracker:
         """A tracker that goes its own way from here; they share the map, all else that it keeps is immutable."""
         return copy(self)
+
+    def apart(self) -> Tracker:
+        """A tracker that goes its own way from here, with a map of its own: what the other learns, it does not."""
+        return deepcopy(self)
 
     def motion_px(self, period_ns: int) -> float:
         """How far the picture moves in a frame period at the last speed; NaN before two pictures."""
