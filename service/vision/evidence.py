@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.compiled import compiled
+from service.vision.compiled import compiled, median_of
 from service.vision.measurement import TubeState
 
 if TYPE_CHECKING:
@@ -43,6 +43,8 @@ LEAST_COMMON = 12
 """Fewer places in common with the map do not decide."""
 CHANGING = 0.65
 """Part of a centre's variance that differs from picture to picture; the rest is the tube's own way of looking."""
+ASIDE = 0.04
+"""By how much, in edge widths, a centre strays as the view changes: light, and lines that are wider than the edge."""
 MOST_PICTURES = 30.0
 """A place's mean settles after so many pictures: what a pose's own error puts into them is shared by all."""
 
@@ -126,7 +128,8 @@ def _offsets(refined: Refined) -> tuple[Array, Array]:
     n = len(refined.sites)
     off, variance = np.empty((n, 2)), np.empty(n)
     _to_sheet(refined.place, refined.rims.center_px, refined.predicted_px, refined.rims.covariance_px, off, variance)
-    return off, CHANGING * variance
+    scale = median_of(np.hypot(refined.place[:, 0, 0], refined.place[:, 0, 1]))
+    return off, CHANGING * variance + (ASIDE * refined.common.profile.width_px / scale) ** 2
 
 
 @compiled

@@ -36,6 +36,11 @@ _ANGLE = 2 * np.pi * np.arange(NODES) / NODES
 NODE_WAVES = np.column_stack([np.ones(NODES), np.cos(_ANGLE), np.sin(_ANGLE), np.cos(2 * _ANGLE), np.sin(2 * _ANGLE)])
 RAY_SPACING_PX, FEWEST_RAYS, MOST_RAYS = 2.8, 16, 24
 """Rays stand this far apart on the rim, as neighbours would see the same pixels; more of them gain little."""
+STRAIGHTENED = 2.0
+"""A camera's grey values follow light to the power of about 0.45, but nearly straight where it is dark (BT.709). A grey
+value y, as a part of full scale, is taken for ``y + STRAIGHTENED y^2``: half way back. An edge's half height then
+depends less on how bright the bore is, and noise in the light, which all the way back would magnify, stays what it is
+in the dark. Measured on truth; it does no harm to grey values that follow light as it is."""
 BASIS = 5
 """Shapes that a ray's grey values are made of, see `shapes`."""
 ENERGY, BORE, OUTSIDE, NOISE, NUMBERS = 5, 6, 7, 8, 9
@@ -89,6 +94,8 @@ def sample_rays(
 ) -> Rays:  # fmt: skip
     """Sample along the normals of projected circles, bilinear.
 
+    Grey values are `STRAIGHTENED`, and remain what they are in the dark.
+
     Parameters
     ----------
     image
@@ -126,7 +133,7 @@ def _sample(
 ) -> None:  # fmt: skip
     """Fill in what `Rays` holds."""
     count = circle.shape[1]
-    aspect = v[0] / v[1]
+    aspect, bend = v[0] / v[1], np.float32(STRAIGHTENED / (255.0 if image.itemsize == 1 else 65535.0))
     wave, ray, inside = np.empty((2, 5)), np.empty((4, count), np.float32), np.empty(count, np.float32)
     place, work = np.empty(SAMPLES * count, np.uint32), np.empty((6, SAMPLES * count), np.float32)
     grey, told = np.empty(SAMPLES * count, np.float32), np.empty((NUMBERS, count), np.float32)
@@ -146,7 +153,7 @@ def _sample(
                     numbers[p, k, i] = 0.0
             mean[i] = 0.0
             continue
-        base = _along(image, ray, u, place, work, grey)
+        base = _along(image, bend, ray, u, place, work, grey)
         _condense(grey, functionals, told)
         for k in range(count):
             valid[k, i], direction[0, k, i], direction[1, k, i] = inside[k], ray[2, k], aspect * ray[3, k]
@@ -212,8 +219,10 @@ def _inside(width: int, height: int, ray: Single, u: Single, inside: Single) -> 
 
 
 @compiled
-def _along(image: Image, ray: Single, u: Single, place: NDArray[np.uint32], work: Single, grey: Single) -> float:
-    """Bilinear grey values along the rays, sample by sample, above the grey that is given: that of one of them.
+def _along(
+    image: Image, bend: float, ray: Single, u: Single, place: NDArray[np.uint32], work: Single, grey: Single
+) -> float:
+    """Straightened grey values along the rays, sample by sample, above the grey that is given: that of one of them.
 
     In loops of one kind of work each, for processors that do such work many at a time.
     """
@@ -233,11 +242,12 @@ def _along(image: Image, ray: Single, u: Single, place: NDArray[np.uint32], work
     base = np.float32(0.0)
     for k in range(count):
         if ray[2, k] != 0.0 or ray[3, k] != 0.0:
-            base = p[k]
+            base = p[k] + bend * p[k] * p[k]
             break
     for m in range(SAMPLES * count):
         top = p[m] + fx[m] * (q[m] - p[m])
-        grey[m] = top + fy[m] * (r[m] + fx[m] * (s[m] - r[m]) - top) - base
+        y = top + fy[m] * (r[m] + fx[m] * (s[m] - r[m]) - top)
+        grey[m] = y + bend * y * y - base
     return float(base)
 
 

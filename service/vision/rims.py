@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Rims", "measure_rims"]
 
-LIGHT_SHIFT, LIGHT_BLUR, SHARP_PX = 0.15, 1.0, 0.8
+LIGHT_SHIFT, LIGHT_BLUR, SHARP_PX = 0.3, 0.5, 0.8
 """What uneven light shifts a rim by, in `Rims.light_px`: on sharp pictures, and more per px of blur beyond SHARP_PX.
 Measured on truth."""
 NOISE_SCALE = 2.0
@@ -77,7 +77,7 @@ class Rims:
     covariance_px
         (n, 3) xx, xy, yy of the centre.
     gain, bore, outside
-        (n,) grey: height of the edge, level in the bore, level at the rays' outer ends.
+        (n,) grey, straightened as in `rays`: height of the edge, level in the bore, level at the rays' outer ends.
     strength
         (n,) height of the edge over its uncertainty, as the rays tell it; negative where nothing could be measured.
     rays

@@ -30,7 +30,7 @@ STRAY = np.array([0.05, 0.12, 0.25, 0.15, 0.04])
 height, and shift, px."""
 LEAN = np.array([0.1, 0.12, 0.3, 0.15])
 """How far each but the shift leans to one side of the rim: one sigma of the cosine's and of the sine's part."""
-HEIGHT = 0.3
+HEIGHT = 0.2
 """How far a tube's edge differs from the height that its rays told one by one, as a part of it."""
 BEYOND, SEAM = 1.0, 0.5
 """One sigma of how much brighter or darker it is beyond the wall, and at its seam."""

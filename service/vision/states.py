@@ -26,10 +26,10 @@ NEARBY = 3.0
 LEAST_NEARBY = 3
 FAINT = 0.5
 """A rim measured with less than this part of the usual edge may be a plug's: its bore is looked at."""
-BRIGHT = 0.5
+BRIGHT = 0.42
 """A bore brighter than its neighbours' by this share of their edges' height is not open."""
-DARK = 0.3
-RELIEF = 0.22
+DARK = 0.24
+RELIEF = 0.25
 """A plug shows its rim, bare plate does not: height of the mean profile over the neighbours' edges."""
 
 
@@ -66,5 +66,4 @@ def _tell(
         if inside < DARK and step > BRIGHT * DARK:
             state[i] = OPEN
         elif inside > BRIGHT:
-            shows_rim = (used[i] and gain[i] < faint) or np.ptp(mean[i]) / height >= RELIEF
-            state[i] = PLUGGED if shows_rim else ABSENT
+            state[i] = PLUGGED if np.ptp(mean[i]) / height >= RELIEF else ABSENT
