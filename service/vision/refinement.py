@@ -14,7 +14,7 @@ from service.vision.pose import NO_PRIOR, Fit, fit_pose, linearise
 from service.vision.rims import Rims, measure_rims
 from service.vision.sites import Sites, sites_in_picture
 from service.vision.states import tube_states
-from service.vision.systematics import Common, edge_bias, smooth_misfit
+from service.vision.systematics import Common, edge_bias, lit_walls, smooth_misfit
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -63,7 +63,7 @@ class Refined:
     sites
         Places whose rim was looked at, n.
     rims
-        What they showed, about the pose before the last solution.
+        What they showed, about the pose before the last solution; covariances hold what lit bore walls may do.
     measured, used
         (n,) whether the tube was measured, and whether it also agrees with its neighbours.
     fit
@@ -236,15 +236,19 @@ def _solved(
     parity: int | None,
 ) -> Refined:  # fmt: skip
     """The last solution, with what no residual shows of light and lens in its covariance."""
+    _, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
+    bias = edge_bias(rims.covariance_px[used], place[used], profile.width_px)
+    lit, covariance = lit_walls(rims.gain, rims.bore, rims.covariance_px, place, profile.width_px)
+    rims = replace(rims, covariance_px=covariance)
     fit = fit_pose(
         sites.sheet_mm[used], rims.center_px[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice,
         prior,
     )  # fmt: skip
     predicted, place = projected(fit.camera, fit.rotation, fit.translation_mm, sites.sheet_mm)
     misfit = smooth_misfit(fit, predicted[used], shape, profile.width_px) if before is None or afresh else before.misfit
-    bias = edge_bias(rims.covariance_px[used], place[used])
     light = fit.response(rims.light_px[used] * math.sqrt(bias.covariance[3, 3]))
-    fit = replace(fit, covariance=fit.covariance + np.outer(light, light) + misfit.covariance)
+    walls = fit.response(lit[used])
+    fit = replace(fit, covariance=fit.covariance + np.outer(light, light) + np.outer(walls, walls) + misfit.covariance)
     agreeing = used.copy()
     agreeing[np.flatnonzero(used)[fit.weight <= 0]] = False
     return Refined(

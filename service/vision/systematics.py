@@ -17,11 +17,17 @@ if TYPE_CHECKING:
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["Common", "EdgeBias", "Misfit", "edge_bias", "smooth_misfit"]
+__all__ = ["Common", "EdgeBias", "Misfit", "edge_bias", "lit_walls", "smooth_misfit"]
 
-BIAS_FLOOR, BIAS_NOISE = np.array([0.003, 0.003, 0.05, 0.3]), np.array([0.05, 0.05, 0.7, 0.0])
+BIAS_FLOOR, BIAS_NOISE = np.array([0.003, 0.003, 0.02, 0.3]), np.array([0.05, 0.05, 0.5, 0.0])
 """One sigma of what shifts all edges in common, measured on truth: x, y and depth in mm, light in `Rims.light_px`, at
 the least, and more per mm of the centres' usual noise."""
+BIAS_BLUR = 0.06
+"""The same of the depth, per mm of the edges' width: weld beads stand before the rim or behind it, and blur mixes
+their parallax in."""
+LIT_WALL, MOST_LIT = 0.5, 2.0
+"""One sigma of a rim's apparent depth per mm of the edges' width where the bore is as bright over black as its edge is
+high, measured on truth; brighter bores than that many times tell no more."""
 SMOOTH = 0.04
 """Size of the smooth fields that no residual shows, in edge widths: what light does to edges, measured on truth."""
 UNSEEN = 1e-3
@@ -51,12 +57,47 @@ class EdgeBias:
         return np.asarray(np.einsum("nij,jk,nik->n", B, self.covariance[:3, :3], B) / 2, np.float64)
 
 
-def edge_bias(covariance_px: Array, place: Array) -> EdgeBias:
-    """What is declared of edges whose centres have these covariances, (n, 3) px^2, at these places."""
+def edge_bias(covariance_px: Array, place: Array, width_px: float) -> EdgeBias:
+    """What is declared of edges that wide, whose centres have these covariances, (n, 3) px^2, at these places."""
     scale = median_of(np.hypot(place[:, 0, 0], place[:, 0, 1]))
     noise_mm = median_of(np.sqrt((covariance_px[:, 0] + covariance_px[:, 2]) / 2)) / scale
     sigma = (BIAS_FLOOR + BIAS_NOISE * noise_mm) * np.array([scale, scale, 1.0, 1.0])
+    sigma[2] += BIAS_BLUR * width_px / scale
     return EdgeBias(np.diag(sigma**2))
+
+
+def lit_walls(gain: Array, bore: Array, covariance_px: Array, place: Array, width_px: float) -> tuple[Array, Array]:
+    """What the bores' lit walls may do: a field of shifts, (n, 2) px, of one sigma, and covariances that hold it.
+
+    Seen aslant, a bore shows its wall on the far side only, where the tube end's light passes into the wall's without a
+    step: as if the rim lay deeper. How bright the bore is tells how far that may reach. All are lit from one side, so
+    the field is common to them.
+
+    Parameters
+    ----------
+    gain, bore, covariance_px
+        (n,), (n,) and (n, 3) as in `rims.Rims`.
+    place
+        (n, 2, 3) px per mm of the rims' places.
+    width_px
+        The edges' width.
+    """
+    scale = median_of(np.hypot(place[:, 0, 0], place[:, 0, 1]))
+    field, covariance = np.empty((len(place), 2)), np.empty((len(place), 3))
+    _lit_walls(gain.copy(), bore.copy(), covariance_px, place, LIT_WALL * width_px / scale, field, covariance)
+    return field, covariance
+
+
+@compiled
+def _lit_walls(
+    gain: Array, bore: Array, before: Array, place: Array, depth_mm: float, field: Array, covariance: Array
+) -> None:
+    for i in range(place.shape[0]):
+        lit = min(max(bore[i] / gain[i], 0.0), MOST_LIT) if gain[i] > 0.0 else MOST_LIT
+        x, y = depth_mm * lit * place[i, 0, 2], depth_mm * lit * place[i, 1, 2]
+        field[i, 0], field[i, 1] = x, y
+        covariance[i, 0], covariance[i, 1] = before[i, 0] + x * x, before[i, 1] + x * y
+        covariance[i, 2] = before[i, 2] + y * y
 
 
 @dataclass(frozen=True, slots=True, eq=False)
