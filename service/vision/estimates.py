@@ -22,12 +22,17 @@ if TYPE_CHECKING:
 
 __all__ = ["estimates"]
 
+TELLING_PX, TELLING_SCATTERS = 0.3, 2.0
+"""A rim tells its tube's place where its own sigma is below so many px, or below so many times the tubes' scatter;
+elsewhere the others tell it as well, and better than a stain that was taken for a rim."""
+
 
 def estimates(refined: Refined, lattice: Lattice, camera: Camera, parity: int | None) -> tuple[Pose, Tubes]:
     """The pose and every place in the picture, with their sigmas.
 
     A measured tube's centre is the weighted mean of what its own rim says and of where the others put it: real tube
-    ends scatter by little, so a weak edge counts for little.
+    ends scatter by little, so a weak edge counts for little. One that counts for next to nothing does not make a tube a
+    measured one: it is told as inferred, where the pose puts its nominal place.
 
     Parameters
     ----------
@@ -36,9 +41,11 @@ def estimates(refined: Refined, lattice: Lattice, camera: Camera, parity: int | 
     parity
         0 or 1 where the picture was the top or the bottom field, None for a frame.
     """
-    center, sigma = _posterior(refined, lattice)
     scale = median_of(np.hypot(refined.place[:, 0, 0], refined.place[:, 0, 1]))
-    pose = _pose(refined, lattice, camera, parity, median_of(sigma[refined.used]) / scale)
+    measured = _telling(refined, lattice, scale)
+    center, sigma = _posterior(refined, lattice, measured)
+    usual = median_of(sigma[measured if measured.any() else refined.used])
+    pose = _pose(refined, lattice, camera, parity, usual / scale)
     if parity is not None:
         center = center * [1.0, 2.0] + [0.0, parity]
         sigma = sigma * math.sqrt(2.5)  # per axis of the full frame: rms of 1 and 2
@@ -47,7 +54,7 @@ def estimates(refined: Refined, lattice: Lattice, camera: Camera, parity: int | 
         column=refined.sites.column.astype(np.int32),
         center_px=center,
         sigma_px=sigma,
-        origin=np.where(refined.used, Origin.MEASURED, Origin.INFERRED).astype(np.uint8),
+        origin=np.where(measured, Origin.MEASURED, Origin.INFERRED).astype(np.uint8),
         state=refined.state,
     )
     return pose, tubes
@@ -117,7 +124,13 @@ def _pose_sigmas(solution: Array, bias: Array, R: Array, t: Array, pivot: Array,
     return to_origin @ cov @ to_origin.T
 
 
-def _posterior(refined: Refined, lattice: Lattice) -> tuple[Array, Array]:
+def _telling(refined: Refined, lattice: Lattice, scale: float) -> NDArray[np.bool_]:
+    """Tubes whose own rim tells their place, (n,), of those that are used; `scale` in px per mm."""
+    own = np.sqrt((refined.rims.covariance_px[:, 0] + refined.rims.covariance_px[:, 2]) / 2)
+    return np.asarray(refined.used & (own < max(TELLING_PX, TELLING_SCATTERS * lattice.scatter_mm * scale)))
+
+
+def _posterior(refined: Refined, lattice: Lattice, measured: NDArray[np.bool_]) -> tuple[Array, Array]:
     """Centres, (n, 2) px, and one sigma per axis, (n,)."""
     fit, n = refined.fit, len(refined.sites)
     camera, columns = fit.camera, 16 if fit.names else 6
@@ -131,7 +144,7 @@ def _posterior(refined: Refined, lattice: Lattice) -> tuple[Array, Array]:
     center, variance = np.empty((n, 2)), np.empty(n)
     misfit = refined.common.misfit.variance_px2(px, refined.shape)
     _combine(
-        px, J, place, fit.covariance, refined.used, refined.rims.center_px, refined.rims.covariance_px,
+        px, J, place, fit.covariance, measured, refined.rims.center_px, refined.rims.covariance_px,
         lattice.scatter_mm**2, lattice.height_scatter_mm**2, misfit, center, variance,
     )  # fmt: skip
     return center, np.sqrt(variance + refined.common.bias.variance_px2(place))
