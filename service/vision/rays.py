@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     Single: TypeAlias = NDArray[np.float32]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-__all__ = ["BASIS", "BORE", "ENERGY", "NOISE", "NUMBERS", "OUTSIDE", "Rays", "rays_for", "sample_rays"]
+__all__ = ["BASIS", "BORE", "ENERGY", "NOISE", "NUMBERS", "OUTSIDE", "Rays", "rays_for", "sample_rays", "straightening"]
 
 NODES = 6
 """Points of a circle that are projected exactly; a trigonometric polynomial through them gives the others."""
@@ -88,6 +88,11 @@ def rays_for(circumference_px: float) -> int:
     return min(max(4 * round(circumference_px / RAY_SPACING_PX / 4), FEWEST_RAYS), MOST_RAYS)
 
 
+def straightening(image: Image) -> float:
+    """What a grey value's square is multiplied with and added to it, see `STRAIGHTENED`."""
+    return STRAIGHTENED / float(np.iinfo(image.dtype).max)
+
+
 def sample_rays(
     image: Image, vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array, radius_mm: float,
     profile: EdgeProfile, functionals: NDArray[np.float32], count: int, scratch: Scratch,
@@ -120,20 +125,21 @@ def sample_rays(
         level=np.empty(n),
     )  # fmt: skip
     _sample(
-        image, vector, rotation, translation_mm, sheet_mm, radius_mm, _circle_of(count), profile.offsets_px,
-        functionals, rays.numbers, rays.direction, rays.valid, rays.center_px, rays.mean, rays.level,
+        image, straightening(image), vector, rotation, translation_mm, sheet_mm, radius_mm, _circle_of(count),
+        profile.offsets_px, functionals, rays.numbers, rays.direction, rays.valid, rays.center_px, rays.mean, rays.level,
     )  # fmt: skip
     return rays
 
 
 @compiled
 def _sample(
-    image: Image, v: Array, R: Array, t: Array, sheet_mm: Array, radius_mm: float, circle: Array, offsets: Array,
-    functionals: Single, numbers: Single, direction: Single, valid: Single, center: Array, mean: Array, level: Array,
+    image: Image, bend: float, v: Array, R: Array, t: Array, sheet_mm: Array, radius_mm: float, circle: Array,
+    offsets: Array, functionals: Single, numbers: Single, direction: Single, valid: Single, center: Array, mean: Array,
+    level: Array,
 ) -> None:  # fmt: skip
     """Fill in what `Rays` holds."""
     count = circle.shape[1]
-    aspect, bend = v[0] / v[1], np.float32(STRAIGHTENED / (255.0 if image.itemsize == 1 else 65535.0))
+    aspect = v[0] / v[1]
     wave, ray, inside = np.empty((2, 5)), np.empty((4, count), np.float32), np.empty(count, np.float32)
     place, work = np.empty(SAMPLES * count, np.uint32), np.empty((6, SAMPLES * count), np.float32)
     grey, told = np.empty(SAMPLES * count, np.float32), np.empty((NUMBERS, count), np.float32)
@@ -226,7 +232,7 @@ def _along(
 
     In loops of one kind of work each, for processors that do such work many at a time.
     """
-    width, count = np.uint32(image.shape[1]), ray.shape[1]
+    width, count, bent = np.uint32(image.shape[1]), ray.shape[1], np.float32(bend)
     flat = image.reshape(-1)
     fx, fy, p, q, r, s = work[0], work[1], work[2], work[3], work[4], work[5]
     for j in range(SAMPLES):
@@ -242,12 +248,12 @@ def _along(
     base = np.float32(0.0)
     for k in range(count):
         if ray[2, k] != 0.0 or ray[3, k] != 0.0:
-            base = p[k] + bend * p[k] * p[k]
+            base = p[k] + bent * p[k] * p[k]
             break
     for m in range(SAMPLES * count):
         top = p[m] + fx[m] * (q[m] - p[m])
         y = top + fy[m] * (r[m] + fx[m] * (s[m] - r[m]) - top)
-        grey[m] = y + bend * y * y - base
+        grey[m] = y + bent * y * y - base
     return float(base)
 
 

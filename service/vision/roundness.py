@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import cv2
 import numpy as np
 
+from service.vision.rays import straightening
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -47,7 +49,8 @@ def out_of_round(image: Image, refined: Refined, lattice: Lattice) -> float:
     if not whole.any():
         return 0.0
     flat = points[whole].reshape(-1, DIRECTIONS * len(RADII), 2)
-    grey = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR).reshape(-1, DIRECTIONS, len(RADII))
+    seen = cv2.remap(image, flat[..., 0], flat[..., 1], cv2.INTER_LINEAR).reshape(-1, DIRECTIONS, len(RADII))
+    grey = seen + straightening(image) * np.square(seen, dtype=np.float64)
     bore, gain = (level[order][whole][:, None, None] for level in (rims.bore, rims.gain))
     dark = 1 - np.clip((grey - bore) / gain, 0.0, 1.0)
     return _strays(RADII[0] + dark.sum(axis=2) * (RADII[1] - RADII[0]))
