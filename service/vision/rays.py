@@ -126,7 +126,8 @@ def sample_rays(
     )  # fmt: skip
     _sample(
         image, straightening(image), vector, rotation, translation_mm, sheet_mm, radius_mm, _circle_of(count),
-        profile.offsets_px, functionals, rays.numbers, rays.direction, rays.valid, rays.center_px, rays.mean, rays.level,
+        profile.offsets_px, functionals, rays.numbers, rays.direction, rays.valid, rays.center_px, rays.mean,
+        rays.level,
     )  # fmt: skip
     return rays
 
