@@ -46,9 +46,9 @@ MOST_OUT_OF_ROUND = 0.036
 """Most that outlines may stray from a circle, in radii: squares do by 0.045 and more, rims by 0.03 at the most."""
 MOST_STRAY = 3.0
 """Most that centres may stray beyond what they and the tubes' scatter explain."""
-MOST_INSIDE, MOST_OUTSIDE = 0.3, 0.2
-"""Most that the edge may lie inside and outside of the nominal rim, in rim radii: more means a wrong scale. Lit bores
-narrow what is dark; nothing widens it by more than the tube's wall."""
+MOST_INSIDE, MOST_OUTSIDE = 0.12, 0.2
+"""Most that the edge may lie inside and outside of the nominal rim, in rim radii, inside by an edge's width more: else
+the scale is wrong. Lit bores and blur narrow what is dark; nothing widens it by more than the tube's wall."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,6 +147,7 @@ def _reason(refined: Refined, lattice: Lattice, measured: int, share: float, *, 
         return "the pattern does not fit the tube lattice"
     if refined.fit.scatter_factor > MOST_STRAY:
         return "tube centres do not fit the lattice"
-    if not -MOST_INSIDE * radius_px <= refined.common.profile.position_px <= MOST_OUTSIDE * radius_px:
+    edge = refined.common.profile
+    if not -MOST_INSIDE * radius_px - edge.width_px <= edge.position_px <= MOST_OUTSIDE * radius_px:
         return "tube ends are not of the expected size"
     return None
