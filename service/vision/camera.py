@@ -24,6 +24,11 @@ class TsaiLens:
 
     kappa1_per_mm2: float = 0.0
 
+    def two_terms(self, focal_length_mm: float) -> OpenCVLens:
+        """OpenCV's k1 and k2 of about the same lens: Tsai's equation turned about, to the second order."""
+        k = self.kappa1_per_mm2 * focal_length_mm**2
+        return OpenCVLens((-k, 3 * k * k, 0.0, 0.0, 0.0))
+
 
 @dataclass(frozen=True, slots=True)
 class OpenCVLens:

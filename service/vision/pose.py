@@ -33,6 +33,8 @@ PARAMETERS = ("focal_length_mm", "sx", "cx_px", "cy_px", "kappa1_per_mm2", "k1",
 """The camera's parameters in the order of `linearise`'s columns, behind the six of the pose."""
 STILL = 1e-3
 """A solution whose chi-square falls by less stands still."""
+BENT = 0.3
+"""How much an unknown lens may bend the edge of the picture, one sigma."""
 TUKEY = 4.685
 """Tukey's constant: 95 % efficiency where errors are normal."""
 
@@ -395,12 +397,13 @@ def _pull(gradient: Array, information: Array, weight: Array, field: Array) -> A
     return pull
 
 
-def prior_of(camera: Camera, focal_length_mm: float | None = None) -> Prior:
+def prior_of(camera: Camera, focal_length_mm: float | None = None, lens: TsaiLens | OpenCVLens | None = None) -> Prior:
     """What a camera leaves open, with its priors.
 
     A parameter with a covariance keeps it. One that is missing gets a wide prior that only keeps a solution sane where
     a single frame says nothing: f unknown by itself, about `focal_length_mm` where that is given; C a tenth of the
-    picture's width about its middle; sx 1 %; a lens that bends the picture's edge by a third.
+    picture's width about its middle; sx 1 %; a lens that bends the picture's edge by a third. An unknown lens is of the
+    kind of `lens`: Tsai's kappa1, or OpenCV's k1 and k2, each of which may bend the edge so much.
     """
     w = camera.image_size_px[0]
     mean, free = _parameter_vector(camera), {}
@@ -412,8 +415,12 @@ def prior_of(camera: Camera, focal_length_mm: float | None = None) -> Prior:
         free["sx"] = 0.01
     if camera.principal_point_px is None:
         free["cx_px"] = free["cy_px"] = 0.1 * w
-    if camera.lens is None:
-        free["kappa1_per_mm2"] = 0.3 / (w * camera.pixel_pitch_mm[0] / 2) ** 2
+    edge2 = (w * camera.pixel_pitch_mm[0] / 2) ** 2
+    if camera.lens is None and isinstance(lens, OpenCVLens):
+        q = edge2 / mean[0] ** 2
+        free["k1"], free["k2"] = BENT / q, BENT / q**2
+    elif camera.lens is None:
+        free["kappa1_per_mm2"] = BENT / edge2
     names = tuple(p for p in PARAMETERS if p in free or (p in known and camera.covariance[known[p], known[p]] > 0))
     covariance = np.zeros((len(names), len(names)))
     for i, a in enumerate(names):

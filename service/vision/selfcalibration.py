@@ -119,12 +119,18 @@ def starting_camera(keyframes: Sequence[Keyframe], camera: Camera) -> Camera:
             f = usual_focal_length_mm(camera)
     lens = camera.lens
     if lens is None:
-        bends = [k.camera.lens.kappa1_per_mm2 for k in keyframes if isinstance(k.camera.lens, TsaiLens)]
-        lens = TsaiLens(float(np.median(bends)) if bends else 0.0)
+        lens = TsaiLens(float(np.median([_bend(k.camera) for k in keyframes])))
     return replace(
         camera, focal_length_mm=f, lens=lens, sx=camera.sx or 1.0,
         principal_point_px=camera.principal_point_px or camera.middle_px,
     )  # fmt: skip
+
+
+def _bend(camera: Camera) -> float:
+    """Tsai's kappa1 of a complete camera, of an OpenCV lens to the first order."""
+    if isinstance(camera.lens, OpenCVLens):
+        return -camera.lens.coefficients[0] / (camera.focal_length_mm or 1.0) ** 2
+    return camera.lens.kappa1_per_mm2 if camera.lens else 0.0
 
 
 def starting_state(keyframes: Sequence[Keyframe], camera: Camera, lattice: Lattice) -> State:

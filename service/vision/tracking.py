@@ -19,6 +19,7 @@ from service.vision.pose import prior_of
 from service.vision.projection import project
 from service.vision.refinement import approach, refine
 from service.vision.search import search_shift
+from service.vision.two_terms import with_two_terms
 from service.vision.working import WorkingCamera
 
 if TYPE_CHECKING:
@@ -221,7 +222,7 @@ class Tracker:
         """Measure about the predicted pose, then about the best shift of it; None where the sheet is not there."""
         if self.motion is None or self._common is None or self._radius_px is None:
             return None
-        prior = prior_of(known, start.focal_length_mm)
+        prior = prior_of(known, start.focal_length_mm, start.lens)
         rotation, translation = predicted = self.motion.at(time_ns)
         if self._stray_px > CALM * self._common.profile.width_px:
             near = self._stray_px < NEAR * self._common.profile.width_px
@@ -288,7 +289,10 @@ class Tracker:
                 break
         if best is None:
             return Seen(None, reason, math.nan)
-        return Seen(best[0], None, math.inf if self.motion is not None else math.nan)
+        refined = with_two_terms(
+            image, known, best[0], self.lattice, START_WIDTH, passes=ACQUIRE_PASSES, watch=watch, parity=parity
+        )
+        return Seen(refined, None, math.inf if self.motion is not None else math.nan)
 
     def _indexed(self, fit: Fit, time_ns: int) -> tuple[Array, Array]:
         """Give a newly found pose the index that the last one would give it, or one of its own."""

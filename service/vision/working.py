@@ -76,7 +76,8 @@ class WorkingCamera:
         found = fit.camera.of_frame(self.known, refined.parity)
         if uncertainty > CERTAIN:
             found = self._usual(found)
-        bend = NO_PRIOR if self.known.lens else prior_of(replace(found, lens=None, parameters=(), covariance=np.eye(0)))
+        open_lens = replace(found, lens=None, parameters=(), covariance=np.eye(0))
+        bend = NO_PRIOR if self.known.lens else prior_of(open_lens, lens=found.lens)
         camera = self._fit(refined, found, bend).camera.of_frame(self.known, refined.parity)
         return replace(self, camera=camera, uncertainty=uncertainty)
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from drivers.scene import NOMINAL
-from service.vision.measurement import Doubt, Lock
+from service.vision.camera import OpenCVLens, TsaiLens
+from service.vision.measurement import Doubt, Lock, TubeState
 from tests.scenes.rendered import (
     camera_of,
     errors_of,
@@ -14,6 +15,7 @@ from tests.scenes.rendered import (
     follow,
     looking,
     measurer_of,
+    optics_of,
     unknown_camera,
     view,
 )
@@ -91,3 +93,40 @@ def test_the_same_places_are_followed_through_a_video_with_no_camera():
         for told, true in zip(zip(m.tubes.row.tolist(), m.tubes.column.tolist(), strict=True), nearest, strict=True):
             assert true_of.setdefault(told, true) == true
     assert len(true_of) > 1.2 * len(answers[0].tubes)
+
+
+WIDE = replace(
+    optics_of((640, 480), pitch_px=24.0, distance_mm=500.0, opencv=True),
+    opencv_distortion=(-0.29, 0.085, 0.0, 0.0, 0.0),
+)
+"""A lens as OpenCV describes it, which Tsai's one term misses by 2 px at the picture's edges."""
+
+
+@pytest.mark.parametrize("tilt_deg", [5.0, 14.0])
+def test_tubes_are_found_to_the_edges_of_a_wide_picture_of_two_terms(tilt_deg):
+    seen = view(look=REAL, optics=WIDE, pose=looking(tilt_deg, distance_mm=500.0))
+    m = seen.measure(unknown_camera(WIDE))
+    e = errors_of(seen, m)
+    assert isinstance(m.pose.camera.lens, OpenCVLens)
+    assert e.index_share == 1.0
+    assert e.missed == 0
+    assert len(e.measured_px) > 0.97 * np.count_nonzero(e.states[:, 1] == TubeState.OPEN)
+    assert np.sqrt(np.mean(e.measured_px**2)) < 0.2
+    focal, sigma = WIDE.focal_length_mm, m.pose.sigma.focal_length_mm
+    assert abs(m.pose.camera.focal_length_mm - focal) < 4 * sigma < 0.3 * focal
+
+
+def test_a_video_is_followed_with_the_two_terms_once_found():
+    poses = [looking(10.0, distance_mm=500.0, at_mm=(2.0 * k, 0.0)) for k in range(4)]
+    views = film(poses, look=REAL, optics=WIDE)
+    answers = follow(views, measurer_of(unknown_camera(WIDE), views[0].lattice))
+    for seen, m in zip(views, answers, strict=True):
+        assert isinstance(m.pose.camera.lens, OpenCVLens)
+        assert np.sqrt(np.mean(errors_of(seen, m).measured_px ** 2)) < 0.2
+    assert not any(Doubt.INDEX in m.doubt for m in answers)
+
+
+@pytest.mark.parametrize("bend", [0.0, 0.04, 0.25])
+def test_a_lens_of_one_term_is_told_as_one(bend):
+    seen = view(look=REAL, pose=looking(12.0), bend=bend)
+    assert isinstance(seen.measure(unknown_camera(seen.optics)).pose.camera.lens, TsaiLens)
