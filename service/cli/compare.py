@@ -172,6 +172,7 @@ def _modern(m: Measurement, lattice: Lattice, origin_px: list[float] | None) -> 
         "lock": str(m.lock),
         "reason": m.reason,
         "doubt": [str(d) for d in m.doubt],
+        "field": m.field,
         "tubes": int(np.count_nonzero(m.tubes.origin == Origin.MEASURED)),
     }
     pose = m.pose
@@ -215,6 +216,8 @@ def _text(d: dict[str, Any]) -> Iterator[str]:
             yield "* refining C has no answer, see below; C as held, or the scale alone"
         yield from _table("C held", {name: {**m, **m["center_held"]} for name, m in methods.items()})
     yield from _table("Modern", {str(modern["lock"]): modern})
+    if modern["field"] != "progressive":
+        yield f"Taken for interlaced: this is its {modern['field']} field; the paper's steps take both as one picture."
     if modern["reason"]:
         yield f"No lock: {modern['reason']}"
     if modern["tz_over_f"] is not None:

@@ -1,4 +1,5 @@
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -64,6 +65,16 @@ def test_json_has_the_five_methods_and_the_modern_answer(picture, camera, capsys
     assert modern["focal_length_mm"] == 18.8
     assert modern["sigma"]["focal_length_mm"] is None  # infinite: JSON has no word for it
     assert modern["sigma"]["tz_mm"] == 1.0
+
+
+def test_of_an_interlaced_picture_it_says_that_the_papers_steps_take_it_whole(picture, camera, capsys):
+    def of_a_field(*seen):
+        return replace(truth_of(*seen), field="top")
+
+    run_compare(picture, "system80", camera, None, of_a_field)
+    assert "its top field; the paper's steps take both as one picture" in capsys.readouterr().out
+    run_compare(picture, "system80", camera, None, truth_of)
+    assert "interlaced" not in capsys.readouterr().out
 
 
 def test_the_modern_tz_is_that_of_the_same_tube(picture, camera, capsys):
