@@ -89,17 +89,15 @@ def rays_for(circumference_px: float) -> int:
 
 
 def straightening(image: Image) -> float:
-    """What a grey value's square is multiplied with and added to it, see `STRAIGHTENED`."""
+    """What straightens a picture's grey values, per grey value, see `STRAIGHTENED`."""
     return STRAIGHTENED / float(np.iinfo(image.dtype).max)
 
 
 def sample_rays(
     image: Image, vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array, radius_mm: float,
-    profile: EdgeProfile, functionals: NDArray[np.float32], count: int, scratch: Scratch,
+    profile: EdgeProfile, bend: float, functionals: NDArray[np.float32], count: int, scratch: Scratch,
 ) -> Rays:  # fmt: skip
     """Sample along the normals of projected circles, bilinear.
-
-    Grey values are `STRAIGHTENED`, and remain what they are in the dark.
 
     Parameters
     ----------
@@ -111,6 +109,8 @@ def sample_rays(
         (n, 2) middles of the circles.
     profile
         Says where rays are sampled.
+    bend
+        A grey value y is taken for ``y + bend y^2``, see `straightening`.
     functionals
         (BASIS + 1, SAMPLES): what samples are multiplied with; the last row weighs their squares.
     count
@@ -125,7 +125,7 @@ def sample_rays(
         level=np.empty(n),
     )  # fmt: skip
     _sample(
-        image, straightening(image), vector, rotation, translation_mm, sheet_mm, radius_mm, _circle_of(count),
+        image, bend, vector, rotation, translation_mm, sheet_mm, radius_mm, _circle_of(count),
         profile.offsets_px, functionals, rays.numbers, rays.direction, rays.valid, rays.center_px, rays.mean,
         rays.level,
     )  # fmt: skip
@@ -229,7 +229,7 @@ def _inside(width: int, height: int, ray: Single, u: Single, inside: Single) -> 
 def _along(
     image: Image, bend: float, ray: Single, u: Single, place: NDArray[np.uint32], work: Single, grey: Single
 ) -> float:
-    """Straightened grey values along the rays, sample by sample, above the grey that is given: that of one of them.
+    """Bilinear, straightened grey values along the rays, above the grey that is given: that of one of them.
 
     In loops of one kind of work each, for processors that do such work many at a time.
     """

@@ -23,7 +23,7 @@ import numpy as np
 from service.vision.compiled import compiled
 from service.vision.edges import profile_of
 from service.vision.light import SLOPE_REACH, light_slopes
-from service.vision.rays import rays_for, sample_rays
+from service.vision.rays import rays_for, sample_rays, straightening
 from service.vision.rim_levels import (
     COVARIANCE,
     COVERED,
@@ -145,9 +145,11 @@ def _measured(
     scale = _px_per_mm(vector, rotation, translation_mm, sheet_mm)
     count = rays or rays_for(2 * math.pi * lattice.rim_radius_mm * scale)
     functionals, shapes = shapes_of(profile, (lattice.outer_radius_mm - lattice.rim_radius_mm) * scale)
+    bend = straightening(image)
     seen = sample_rays(
-        image, vector, rotation, translation_mm, sheet_mm, lattice.rim_radius_mm, profile, functionals, count, scratch
-    )
+        image, vector, rotation, translation_mm, sheet_mm, lattice.rim_radius_mm, profile,
+        bend if profile.learnt else 0.0, functionals, count, scratch,
+    )  # fmt: skip
     told = np.zeros((FIGURES, n))
     noise = levels(seen.numbers, seen.valid, shapes.first, shapes.edge, told)
     if profile.learnt:
@@ -161,11 +163,25 @@ def _measured(
         lattice.rim_radius_mm * scale, light,
     )  # fmt: skip
     center, shift, covariance = _placed(seen.center_px, aspect, profile.width_px, told, seen.level, light)
+    if not profile.learnt:  # a search reaches farther in grey values as they are
+        _straighten(bend, told, seen.mean)
     return Rims(
         center_px=center, shift_px=shift, radius_px=told[RADIUS], covariance_px=covariance, gain=told[HEIGHT],
         bore=told[INNER_LEVEL], outside=told[OUTER_LEVEL], strength=told[STRENGTH], rays=told[COVERED], light_px=light,
         mean=seen.mean, looked=profile,
     )  # fmt: skip
+
+
+@compiled
+def _straighten(bend: float, told: Array, mean: Array) -> None:
+    """Straighten levels, height of the edge and mean profiles, in place."""
+    for i in range(told.shape[1]):
+        top = told[INNER_LEVEL, i] + told[HEIGHT, i]
+        told[INNER_LEVEL, i] += bend * told[INNER_LEVEL, i] ** 2
+        told[OUTER_LEVEL, i] += bend * told[OUTER_LEVEL, i] ** 2
+        told[HEIGHT, i] = top + bend * top * top - told[INNER_LEVEL, i]
+        for j in range(mean.shape[1]):
+            mean[i, j] += bend * mean[i, j] ** 2
 
 
 @compiled
