@@ -193,8 +193,8 @@ def refine(
             continue
         sites, rims, used = looked
         as_before = before is not None and not afresh
-        narrow = profile if as_before else _narrowed(rims.profile(), profile)
         moved, settled = _moved_px(rims, used), SETTLED if before is None else STILL_SETTLED
+        narrow = profile if as_before else _narrowed(rims.profile(), profile, moved)
         steady = moved < settled * profile.width_px and narrow.width_px > STEADY_WIDTH * profile.width_px
         near = moved < STILL_SETTLED * profile.width_px and narrow.width_px > NEAR_WIDTH * profile.width_px
         on_all += few is None
@@ -258,9 +258,9 @@ def _solved(
     )  # fmt: skip
 
 
-def _narrowed(seen: EdgeProfile | None, before: EdgeProfile) -> EdgeProfile:
+def _narrowed(seen: EdgeProfile | None, before: EdgeProfile, moved_px: float) -> EdgeProfile:
     """The profile for the next pass: narrower in steps only, as the first passes' pose still strays."""
-    least = NARROWING * before.width_px
+    least = max(NARROWING * before.width_px, min(moved_px, before.width_px))
     if seen is None:
         return start_profile(max(least, min(before.width_px, LIKELY_WIDTH_PX)), before.position_px)
     return seen if seen.width_px >= least else start_profile(least, seen.position_px)

@@ -39,7 +39,7 @@ __all__ = ["Seen", "Tracker"]
 
 START_WIDTH = 0.2
 """Width of the edge that is looked for about a rough pose, in rim radii."""
-ACQUIRE_PASSES = 7
+ACQUIRE_PASSES = 10
 TRACK_PASSES = 3
 FEW = 60
 """Tubes that a newly found pose is refined on first: enough to bring all others near their edges."""
