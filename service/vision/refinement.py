@@ -127,15 +127,20 @@ def approach(
                 break
             look = start_profile(BROAD * profile.width_px, profile.position_px)
             continue
-        center = rims.center_px if look is profile else rims.center_px - OVERSHOT * rims.shift_px
         fit = fit_pose(
-            guides_mm[used], center[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice, NO_PRIOR
-        )
+            guides_mm[used], _likely_centers(rims)[used], rims.covariance_px[used], camera, rotation, translation_mm,
+            lattice, NO_PRIOR,
+        )  # fmt: skip
         rotation, translation_mm = fit.rotation, fit.translation_mm
         if look is profile and _moved_px(rims, used) < STILL_SETTLED * profile.width_px:
             break
         look = profile
     return rotation, translation_mm
+
+
+def _likely_centers(rims: Rims) -> Array:
+    """Measured centres, (n, 2) px, less what a guessed edge overshoots."""
+    return rims.center_px if rims.looked.learnt else rims.center_px - OVERSHOT * rims.shift_px
 
 
 def _moved_px(rims: Rims, used: NDArray[np.bool_]) -> float:
@@ -205,8 +210,8 @@ def refine(
             watch.lap("pose")
             return refined
         fit = fit_pose(
-            sites.sheet_mm[used], rims.center_px[used], rims.covariance_px[used], camera, rotation, translation_mm,
-            lattice, prior,
+            sites.sheet_mm[used], _likely_centers(rims)[used], rims.covariance_px[used], camera, rotation,
+            translation_mm, lattice, prior,
         )  # fmt: skip
         camera, rotation, translation_mm, profile = fit.camera, fit.rotation, fit.translation_mm, narrow
         few = None if near or step >= passes - 1 - ON_ALL else few
