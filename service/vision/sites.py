@@ -122,7 +122,7 @@ def _bounds(
             x = left + (right - left) * (s if side == 0 else 1.0 if side == 1 else 1.0 - s if side == 2 else 0.0)
             y = top + (bottom - top) * (0.0 if side == 0 else s if side == 1 else 1.0 if side == 2 else 1.0 - s)
         u, w = undistort_point(v, (x - v[2]) / v[0], (y - v[3]) / v[1])
-        if not math.isfinite(u + w):
+        if math.isnan(u):
             u, w = 3.0 * (x - v[2]) / v[0], 3.0 * (y - v[3]) / v[1]
         along = R[0, 2] * u + R[1, 2] * w + R[2, 2]
         height_mm = R[0, 2] * t[0] + R[1, 2] * t[1] + R[2, 2] * t[2]
