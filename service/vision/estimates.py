@@ -140,7 +140,8 @@ def _posterior(refined: Refined, lattice: Lattice, measured: NDArray[np.bool_]) 
         camera.vector(), f, sx, fit.rotation, fit.translation_mm, fit.pivot_mm, refined.sites.sheet_mm, columns, px, J,
         place,
     )  # fmt: skip
-    J = np.ascontiguousarray(J[:, :, [*range(6), *(6 + PARAMETERS.index(name) for name in fit.names)]])
+    if fit.names:
+        J = np.ascontiguousarray(J[:, :, [*range(6), *(6 + PARAMETERS.index(name) for name in fit.names)]])
     center, variance = np.empty((n, 2)), np.empty(n)
     misfit = refined.common.misfit.variance_px2(px, refined.shape)
     _combine(

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Refined", "accepted", "approach", "projected", "refine"]
 
-LEAST_STRENGTH = 3.0
+LEAST_STRENGTH = 3.3
 """Edges weaker than this are noise: bare plate seldom passes, and less often once radius and place must fit too."""
 LEAST_RAYS = 0.4
 LEAST_TUBES = 6

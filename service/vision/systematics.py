@@ -51,10 +51,9 @@ class EdgeBias:
 
     def variance_px2(self, place: Array) -> Array:
         """What shift and depth do at each place, (n,) px^2 per axis; the light is in the pose's."""
-        B = np.zeros((len(place), 2, 3))
-        B[:, 0, 0] = B[:, 1, 1] = 1.0
-        B[:, :, 2] = place[:, :, 2]
-        return np.asarray(np.einsum("nij,jk,nik->n", B, self.covariance[:3, :3], B) / 2, np.float64)
+        c, x, y = self.covariance, place[:, 0, 2], place[:, 1, 2]
+        depth = x * (c[2, 2] * x + 2 * c[0, 2]) + y * (c[2, 2] * y + 2 * c[1, 2])
+        return np.asarray((c[0, 0] + c[1, 1] + depth) / 2)
 
 
 def edge_bias(covariance_px: Array, place: Array, width_px: float) -> EdgeBias:
