@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
@@ -21,6 +21,9 @@ __all__ = ["Motion", "aligned", "centred"]
 
 ACCELERATION_MM_PER_S2 = 200.0
 """What an arm may do while nobody looks."""
+STEADIER = 0.7
+"""What part of the error that a prediction at constant speed had, one at a constantly growing speed must have had for
+the next to be made so: an arm that starts or stops grows faster steadily, a shaken one does not."""
 LEAST_S = 1e-3
 """Pictures nearer in time tell no speed: where frames were passed over, a field may seem to be as old as the next."""
 
@@ -37,6 +40,10 @@ class Motion:
         (2,) the sheet point whose motion is followed: what the picture's middle looks at.
     turn_per_s, speed_mm_per_s
         (3,) rotation vector (rad) and (3,) velocity of the anchor, both in the camera frame.
+    turn_trend_per_s2, speed_trend_mm_per_s2
+        (3,) by how much both grew last.
+    grows
+        Whether they are thought to go on growing so.
     """
 
     rotation: NDArray[np.float64]
@@ -45,24 +52,40 @@ class Motion:
     time_ns: int
     turn_per_s: NDArray[np.float64]
     speed_mm_per_s: NDArray[np.float64]
+    turn_trend_per_s2: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    speed_trend_mm_per_s2: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    grows: bool = False
 
     def at(self, time_ns: int) -> tuple[Array, Array]:
-        """Predict the pose at constant velocity."""
+        """Predict the pose: at the last speed, or at one that has grown as it did last."""
         dt = (time_ns - self.time_ns) * 1e-9
-        turn = np.asarray(cv2.Rodrigues(self.turn_per_s * dt)[0], np.float64)
+        turn_per_s, speed = self.turn_per_s, self.speed_mm_per_s
+        if self.grows:
+            turn_per_s, speed = turn_per_s + self.turn_trend_per_s2 * dt, speed + self.speed_trend_mm_per_s2 * dt
+        turn = np.asarray(cv2.Rodrigues(turn_per_s * dt)[0], np.float64)
         rotation = np.ascontiguousarray(turn @ self.rotation)
-        anchor = self.rotation[:, :2] @ self.anchor_mm + self.translation_mm + self.speed_mm_per_s * dt
+        anchor = self.rotation[:, :2] @ self.anchor_mm + self.translation_mm + speed * dt
         return rotation, anchor - rotation[:, :2] @ self.anchor_mm
 
     def moved_to(self, rotation: Array, translation_mm: Array, time_ns: int, anchor_mm: Array) -> Motion:
         """The motion after a new measured pose."""
         dt = (time_ns - self.time_ns) * 1e-9
         if dt < LEAST_S:
-            return Motion(rotation, translation_mm, anchor_mm, time_ns, self.turn_per_s, self.speed_mm_per_s)
+            return replace(self, rotation=rotation, translation_mm=translation_mm, anchor_mm=anchor_mm, time_ns=time_ns)
         turn = np.asarray(cv2.Rodrigues(rotation @ self.rotation.T)[0], np.float64).ravel() / dt
         before = self.rotation[:, :2] @ anchor_mm + self.translation_mm
         speed = (rotation[:, :2] @ anchor_mm + translation_mm - before) / dt
-        return Motion(rotation, translation_mm, anchor_mm, time_ns, turn, speed)
+        more_turn, more_speed = turn - self.turn_per_s, speed - self.speed_mm_per_s
+        constant = self._size_mm(more_turn, more_speed)
+        growing = self._size_mm(more_turn - self.turn_trend_per_s2 * dt, more_speed - self.speed_trend_mm_per_s2 * dt)
+        return Motion(
+            rotation, translation_mm, anchor_mm, time_ns, turn, speed, more_turn / dt, more_speed / dt,
+            growing < STEADIER * constant,
+        )  # fmt: skip
+
+    def _size_mm(self, turn: Array, shift_mm: Array) -> float:
+        """How large a turn and a shift are together, seen in the sheet."""
+        return float(np.sqrt(shift_mm @ shift_mm) + self.translation_mm[2] * np.sqrt(turn @ turn))
 
     def relabelled(self, step_mm: Array) -> Motion:
         """The same motion where every tube's nominal place has grown by (2,) mm: an index mended is no travel."""

@@ -42,7 +42,9 @@ STEADY_WIDTH, NEAR_WIDTH = 0.93, 0.75
 few tubes."""
 BROAD = 2.0
 """Widths of the learnt edge that is looked for where tubes lie beyond its reach."""
-APPROACHES, LEAST_GUIDES = 3, 0.5
+NEAR = 1.3
+"""Edge widths off that a learnt profile reaches."""
+APPROACHES, LEAST_GUIDES = 4, 0.5
 """How often a few tubes are measured at the most to bring a pose near, and what part of them must show."""
 OVERSHOT = 0.4
 """Part of the shift that a broader edge is found with, which is too much."""
@@ -102,7 +104,7 @@ class Refined:
 
 def approach(
     image: Image, camera: Camera, lattice: Lattice, rotation: Array, translation_mm: Array, guides_mm: Array,
-    profile: EdgeProfile, *, near: bool,
+    profile: EdgeProfile, stray_px: float,
 ) -> tuple[Array, Array]:  # fmt: skip
     """Bring a rough pose near by a few tubes: a fraction of a full pass. It stays as it was where too few show.
 
@@ -114,18 +116,18 @@ def approach(
         (m, 2) nominal places of the tubes.
     profile
         The learnt one.
-    near
-        Whether the tubes are thought to lie within its reach, about its width; else, and where they are not found, a
-        broader edge is looked for first.
+    stray_px
+        How far off the tubes are thought to lie. Where that is beyond the profile's reach, and where they are not
+        found, a broader edge is looked for first.
     """
-    look = profile if near else start_profile(BROAD * profile.width_px, profile.position_px)
+    broad_px = max(BROAD * profile.width_px, stray_px)
+    look = profile if stray_px < NEAR * profile.width_px else start_profile(broad_px, profile.position_px)
     for _ in range(APPROACHES):
         rims = measure_rims(image, camera.vector(), rotation, translation_mm, guides_mm, lattice, look)
         used = accepted(rims, look.width_px)
         if used.sum() < max(LEAST_TUBES, LEAST_GUIDES * len(guides_mm)):
-            if look is not profile:
-                break
-            look = start_profile(BROAD * profile.width_px, profile.position_px)
+            broad_px *= 1.0 if look is profile else BROAD
+            look = start_profile(broad_px, profile.position_px)
             continue
         fit = fit_pose(
             guides_mm[used], _likely_centers(rims)[used], rims.covariance_px[used], camera, rotation, translation_mm,

@@ -61,8 +61,6 @@ GUIDES = 24
 """Tubes that a prediction is brought near with, spread over the picture; a pose from as many is good to a tenth px."""
 CALM = 0.13
 """Edge widths that a prediction may have been off for the next one to be good enough as it is."""
-NEAR = 1.3
-"""Edge widths that a prediction may have been off for the next one to lie within reach of the learnt profile."""
 SMOOTH = 0.2
 """How fast the running figures follow a new picture."""
 
@@ -108,7 +106,7 @@ class Tracker:
         self._common: Common | None = None
         self._pictures = 0
         self._guides_mm = np.zeros((0, 2))
-        self._stray_px = math.inf
+        self._stray_px = 0.0
         self._radius_px: float | None = None
         self._share = 0.0
         self._index = self._trusted = self._numbered = 0
@@ -225,9 +223,8 @@ class Tracker:
         prior = prior_of(known, start.focal_length_mm, start.lens)
         rotation, translation = predicted = self.motion.at(time_ns)
         if self._stray_px > CALM * self._common.profile.width_px:
-            near = self._stray_px < NEAR * self._common.profile.width_px
             rotation, translation = approach(
-                image, start, self.lattice, *predicted, self._guides_mm, self._common.profile, near=near
+                image, start, self.lattice, *predicted, self._guides_mm, self._common.profile, self._stray_px
             )
             watch.lap("detect")
         refined = refine(

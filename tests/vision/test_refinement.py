@@ -137,8 +137,8 @@ def off_px(seen, pose):
 
 
 @pytest.mark.parametrize("edges_off", [-1.9, -1.2, -0.5, 0.3, 1.0, 1.9])
-@pytest.mark.parametrize("near", [True, False])
-def test_a_few_tubes_bring_a_pose_near(edges_off, near):
+@pytest.mark.parametrize("thought_px", [0.0, 2.0, 4.0])
+def test_a_few_tubes_bring_a_pose_near(edges_off, thought_px):
     """From as far as an arm that speeds up gets ahead of its prediction, to what a full pass takes for settled."""
     seen = view(look=REAL)
     learnt = start_profile(1.0)
@@ -148,7 +148,7 @@ def test_a_few_tubes_bring_a_pose_near(edges_off, near):
     start = translation + np.array([edges_off * learnt.width_px * depth / seen.camera.vector()[0], 0.0, 0.0])
     rows, columns = (a.ravel() for a in np.mgrid[-2:3, -2:3])
     guides = seen.lattice.sheet_points(rows, columns)
-    found = approach(seen.image, seen.camera, seen.lattice, rotation, start, guides, learnt, near=near)
+    found = approach(seen.image, seen.camera, seen.lattice, rotation, start, guides, learnt, thought_px)
     assert off_px(seen, (rotation, start)) == pytest.approx(abs(edges_off), rel=0.1)
     assert off_px(seen, found) < 0.15 * learnt.width_px
 
@@ -158,5 +158,5 @@ def test_a_pose_stays_as_it_was_where_too_few_tubes_show():
     rotation, translation = seen.rotation, seen.translation_mm
     black = np.zeros_like(seen.image)
     guides = seen.lattice.sheet_points(np.arange(8), np.arange(8))
-    found = approach(black, seen.camera, seen.lattice, rotation, translation, guides, start_profile(1.0), near=True)
+    found = approach(black, seen.camera, seen.lattice, rotation, translation, guides, start_profile(1.0), 0.0)
     assert found == (rotation, translation)
