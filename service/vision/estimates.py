@@ -57,7 +57,8 @@ def estimates(refined: Refined, lattice: Lattice, camera: Camera, parity: int | 
         origin=np.where(measured, Origin.MEASURED, Origin.INFERRED).astype(np.uint8),
         state=refined.state,
     )
-    return pose, tubes
+    there = np.isfinite(center[:, 0])  # the last solution may have moved a place beyond a bent lens's fold
+    return pose, tubes if there.all() else tubes.take(there)
 
 
 def _pose(refined: Refined, lattice: Lattice, camera: Camera, parity: int | None, tube_sigma_mm: float) -> Pose:

@@ -80,6 +80,13 @@ class Tubes:
     def __len__(self) -> int:
         return len(self.row)
 
+    def take(self, which: NDArray[np.bool_]) -> Tubes:
+        """A selection, by a mask (n,)."""
+        return Tubes(
+            self.row[which], self.column[which], self.center_px[which], self.sigma_px[which], self.origin[which],
+            self.state[which],
+        )  # fmt: skip
+
     @classmethod
     def none(cls) -> Tubes:
         """No tubes at all."""

@@ -44,6 +44,8 @@ BROAD = 2.0
 """Widths of the learnt edge that is looked for where tubes lie beyond its reach."""
 NEAR = 1.3
 """Edge widths off that a learnt profile reaches."""
+WELL_WITHIN = 0.75
+"""Edge widths off from which one pass with the learnt profile brings tubes to where they count as settled."""
 APPROACHES, LEAST_GUIDES = 4, 0.5
 """How often a few tubes are measured at the most to bring a pose near, and what part of them must show."""
 OVERSHOT = 0.4
@@ -134,7 +136,7 @@ def approach(
             lattice, NO_PRIOR,
         )  # fmt: skip
         rotation, translation_mm = fit.rotation, fit.translation_mm
-        if look is profile and _moved_px(rims, used) < STILL_SETTLED * profile.width_px:
+        if look is profile and _moved_px(rims, used) < WELL_WITHIN * profile.width_px:
             break
         look = profile
     return rotation, translation_mm
