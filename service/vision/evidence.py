@@ -43,7 +43,7 @@ LEAST_COMMON = 12
 """Fewer places in common with the map do not decide."""
 CHANGING = 0.65
 """Part of a centre's variance that differs from picture to picture; the rest is the tube's own way of looking."""
-ASIDE, ASIDE_IN_FIELDS = 0.04, 0.08
+ASIDE = 0.04
 """By how much, in edge widths, a centre strays as the view changes: light, and lines that are wider than the edge."""
 MOST_PICTURES = 30.0
 """A place's mean settles after so many pictures: what a pose's own error puts into them is shared by all."""
@@ -129,8 +129,7 @@ def _offsets(refined: Refined) -> tuple[Array, Array]:
     off, variance = np.empty((n, 2)), np.empty(n)
     _to_sheet(refined.place, refined.rims.center_px, refined.predicted_px, refined.rims.covariance_px, off, variance)
     scale = median_of(np.hypot(refined.place[:, 0, 0], refined.place[:, 0, 1]))
-    aside = ASIDE if refined.parity is None else ASIDE_IN_FIELDS
-    return off, CHANGING * variance + (aside * refined.common.profile.width_px / scale) ** 2
+    return off, CHANGING * variance + (ASIDE * refined.common.profile.width_px / scale) ** 2
 
 
 @compiled

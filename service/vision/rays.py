@@ -36,7 +36,7 @@ _ANGLE = 2 * np.pi * np.arange(NODES) / NODES
 NODE_WAVES = np.column_stack([np.ones(NODES), np.cos(_ANGLE), np.sin(_ANGLE), np.cos(2 * _ANGLE), np.sin(2 * _ANGLE)])
 RAY_SPACING_PX, FEWEST_RAYS, MOST_RAYS = 2.8, 16, 24
 """Rays stand this far apart on the rim, as neighbours would see the same pixels; more of them gain little."""
-STRAIGHTENED = 2.0
+STRAIGHTENED = 1.0
 """A camera's grey values follow light to the power of about 0.45, but nearly straight where it is dark (BT.709). A grey
 value y, as a part of full scale, is taken for ``y + STRAIGHTENED y^2``: half way back. An edge's half height then
 depends less on how bright the bore is, and noise in the light, which all the way back would magnify, stays what it is
