@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from drivers.scene import CLEAN, NOMINAL
-from service.vision.edges import EdgeProfile, start_profile
+from service.vision.edges import start_profile
 from service.vision.measurement import Lock, Origin
 from service.vision.projection import project
 from service.vision.refinement import approach
+from service.vision.rims import measure_rims
 from service.vision.shapes import shapes_of
 from tests.scenes.rendered import PLAIN, errors_of, looking, view
 
@@ -141,15 +142,16 @@ def off_px(seen, pose):
 def test_a_few_tubes_bring_a_pose_near(edges_off, thought_px):
     """From as far as an arm that speeds up gets ahead of its prediction, to what a full pass takes for settled."""
     seen = view(look=REAL)
-    learnt = start_profile(1.0)
-    learnt = EdgeProfile(learnt.position_px, learnt.width_px, learnt.template, learnt=True)
     rotation, translation = seen.rotation, seen.translation_mm
-    depth = float(translation[2])
-    start = translation + np.array([edges_off * learnt.width_px * depth / seen.camera.vector()[0], 0.0, 0.0])
     rows, columns = (a.ravel() for a in np.mgrid[-2:3, -2:3])
-    guides = seen.lattice.sheet_points(rows, columns)
+    guides, vector = seen.lattice.sheet_points(rows, columns), seen.camera.vector()
+    learnt = measure_rims(
+        seen.image, vector, rotation, translation, guides, seen.lattice, start_profile(1.0)
+    ).profile()  # fmt: skip
+    depth = float(translation[2])
+    start = translation + np.array([edges_off * learnt.width_px * depth / vector[0], 0.0, 0.0])
     found = approach(seen.image, seen.camera, seen.lattice, rotation, start, guides, learnt, thought_px)
-    assert off_px(seen, (rotation, start)) == pytest.approx(abs(edges_off), rel=0.1)
+    assert off_px(seen, (rotation, start)) == pytest.approx(abs(edges_off) * learnt.width_px, rel=0.1)
     assert off_px(seen, found) < 0.15 * learnt.width_px
 
 
