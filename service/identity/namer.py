@@ -91,7 +91,8 @@ class TubeNamer:
             return None
         doubtful, asked = Doubt.INDEX in measurement.doubt, self._asked
         if asked is not None and not (doubtful and asked.generation is None):
-            self._asked = None
+            if self._asked is asked:  # else somebody has asked anew meanwhile
+                self._asked = None
             self._take(asked, measurement, generation)
         if doubtful or self.named is None or self.named.index != measurement.index:
             return None

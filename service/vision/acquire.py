@@ -160,6 +160,8 @@ def _fitted(level: _Level, camera: Camera, lattice: Lattice, watch: Stopwatch) -
         return
     v = fit.camera.vector()
     depth = float(fit.rotation[2, :2] @ looked_at(fit.rotation, fit.translation_mm) + fit.translation_mm[2])
+    if not depth > 0:
+        return
     radius_px = lattice.rim_radius_mm * v[0] / depth
     yield Candidate(fit, radius_px, int((fit.weight > 0).sum()), level.blobs)
 

@@ -24,6 +24,8 @@ ACCELERATION_MM_PER_S2 = 200.0
 STEADIER = 0.7
 """What part of the error that a prediction at constant speed had, one at a constantly growing speed must have had for
 the next to be made so: an arm that starts or stops grows faster steadily, a shaken one does not."""
+GROWS_S = 0.1
+"""For how long at the most a speed is thought to grow: after an outage the arm may be anywhere."""
 LEAST_S = 1e-3
 """Pictures nearer in time tell no speed: where frames were passed over, a field may seem to be as old as the next."""
 
@@ -57,10 +59,10 @@ class Motion:
     grows: bool = False
 
     def at(self, time_ns: int) -> tuple[Array, Array]:
-        """Predict the pose: at the last speed, or at one that has grown as it did last."""
+        """Predict the pose: at the last speed, or, for a short while, at one that has grown as it did last."""
         dt = (time_ns - self.time_ns) * 1e-9
         turn_per_s, speed = self.turn_per_s, self.speed_mm_per_s
-        if self.grows:
+        if self.grows and dt < GROWS_S:
             turn_per_s, speed = turn_per_s + self.turn_trend_per_s2 * dt, speed + self.speed_trend_mm_per_s2 * dt
         turn = np.asarray(cv2.Rodrigues(turn_per_s * dt)[0], np.float64)
         rotation = np.ascontiguousarray(turn @ self.rotation)

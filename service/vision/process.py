@@ -158,7 +158,7 @@ class Measurer:
 
         A bottom field has nothing to tell where the top one shows no pattern.
         """
-        tracker = before.copy()
+        tracker = before.apart()
         if refined is not None:
             tracker.follow(refined, time_ns)
         top = tracker.step(packed(whole[0::2]), 0, time_ns, Stopwatch(self._tick)).refined

@@ -108,7 +108,7 @@ def approach(
     image: Image, camera: Camera, lattice: Lattice, rotation: Array, translation_mm: Array, guides_mm: Array,
     profile: EdgeProfile, stray_px: float,
 ) -> tuple[Array, Array]:  # fmt: skip
-    """Bring a rough pose near by a few tubes: a fraction of a full pass. It stays as it was where too few show.
+    """Bring a rough pose near by a few tubes, as far as enough of them show: a fraction of a full pass.
 
     Parameters
     ----------
@@ -122,6 +122,8 @@ def approach(
         How far off the tubes are thought to lie. Where that is beyond the profile's reach, and where they are not
         found, a broader edge is looked for first.
     """
+    if len(guides_mm) < LEAST_TUBES:
+        return rotation, translation_mm
     broad_px = max(BROAD * profile.width_px, stray_px)
     look = profile if stray_px < NEAR * profile.width_px else start_profile(broad_px, profile.position_px)
     for _ in range(APPROACHES):

@@ -83,7 +83,7 @@ def lit_walls(gain: Array, bore: Array, covariance_px: Array, place: Array, widt
     """
     scale = median_of(np.hypot(place[:, 0, 0], place[:, 0, 1]))
     field, covariance = np.empty((len(place), 2)), np.empty((len(place), 3))
-    _lit_walls(gain.copy(), bore.copy(), covariance_px, place, LIT_WALL * width_px / scale, field, covariance)
+    _lit_walls(gain, bore, covariance_px, place, LIT_WALL * width_px / scale, field, covariance)
     return field, covariance
 
 

@@ -148,7 +148,7 @@ class Tracker:
         if self.motion is not None and self._may_have_slipped(seen.gap, time_ns):
             self._doubt_index()
         refined = self._settled(seen.refined)
-        self.follow(refined, time_ns)
+        self.follow(refined, time_ns, found=math.isinf(seen.gap))
         return replace(seen, refined=refined, index_in_doubt=self._doubt, index=self._index)
 
     @property
@@ -190,6 +190,7 @@ class Tracker:
         """Go on with places that are so many rows and columns more."""
         step = self.lattice.sheet_points(np.array([rows]), np.array([columns]))[0]
         self.motion = None if self.motion is None else self.motion.relabelled(step)
+        self._guides_mm = self._guides_mm + step
 
     def _may_have_slipped(self, gap: float, time_ns: int) -> bool:
         """Whether the sheet moved so far, unexpected or unseen, that a neighbouring tube may be taken for it."""
@@ -297,19 +298,24 @@ class Tracker:
             return centred(fit.rotation, fit.translation_mm, self.lattice)
         return aligned(fit.rotation, fit.translation_mm, self.motion.at(time_ns), self.lattice)
 
-    def follow(self, refined: Refined, time_ns: int) -> None:
-        """Take a measured pose for the last one."""
+    def follow(self, refined: Refined, time_ns: int, *, found: bool = False) -> None:
+        """Take a measured pose for the last one.
+
+        One that was `found` anew is thought to stand: its labels may have jumped, which is no speed.
+        """
         before, self._working = self._working, self._working.learned(refined)
         fit = self._working.pose(refined)
         anchor = looked_at(fit.rotation, fit.translation_mm)
-        if self.motion is None or self._working is not before:
+        if self.motion is None or found or self._working is not before:
             self.motion = Motion.standing(fit.rotation, fit.translation_mm, time_ns, anchor)
         else:
             self.motion = self.motion.moved_to(fit.rotation, fit.translation_mm, time_ns, anchor)
         share = float(refined.used.mean())
         self._share += (SMOOTH if self._share else 1.0) * (share - self._share)
         self._common = refined.common
-        clear = np.flatnonzero(refined.used & (refined.rims.strength >= median_of(refined.rims.strength[refined.used])))
+        clear = np.flatnonzero(refined.used)
+        if len(clear) > 2 * GUIDES:
+            clear = clear[refined.rims.strength[clear] >= median_of(refined.rims.strength[clear])]
         self._guides_mm = refined.sites.sheet_mm[clear[:: math.ceil(len(clear) / GUIDES)]]
         depth = float(fit.rotation[2, :2] @ anchor + fit.translation_mm[2])
         self._radius_px = self.lattice.rim_radius_mm * float(fit.camera.vector()[0]) / depth

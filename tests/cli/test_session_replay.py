@@ -206,7 +206,7 @@ def test_without_what_was_remembered_it_would_differ_and_a_changed_byte_of_it_is
     assert remembered(session) is None
 
 
-@pytest.mark.parametrize(("video", "generator", "leap_to"), [(*VIDEOS[0], 100), (*VIDEOS[1], 100)])
+@pytest.mark.parametrize(("video", "generator", "leap_to"), [(*VIDEOS[1], 100)])  # the map mends the others' leaps
 @pytest.mark.parametrize("anchored", [True, False])
 def test_an_anchor_settles_an_index_that_came_into_doubt_then_as_again(
     shared, tmp_path, video, generator, leap_to, anchored

@@ -61,3 +61,11 @@ def test_a_turn_that_grows_is_predicted_too():
     for k in range(1, 7):
         motion = motion.moved_to(turned(0.2 * k * k), T, k * PERIOD_NS, np.zeros(2))
     assert motion.at(7 * PERIOD_NS)[0] == pytest.approx(turned(0.2 * 49), abs=1e-9)
+
+
+def test_after_an_outage_the_speed_is_the_last_one():
+    """A second of a speed that goes on growing would lead to other tubes."""
+    motion = seen_at([0.5 * k * k for k in range(8)])
+    assert motion.grows
+    x = motion.at(7 * PERIOD_NS + 10**9)[1][0]
+    assert x == pytest.approx(0.5 * 49 + 6.5 * 1e9 / PERIOD_NS)
