@@ -174,3 +174,41 @@ def test_from_picture_to_picture_a_sheet_of_another_pitch_is_not_taken_for_this_
     answers = follow([*here, *other])
     assert answers[2].lock is Lock.FULL
     assert answers[3].lock is Lock.NONE
+
+
+@pytest.mark.parametrize("outage", [5, 15, 25])
+def test_an_outage_while_the_arm_speeds_up_loses_no_index_that_the_map_can_tell(outage):
+    """To where the speed would have led by then, an index beyond the map's reach was taken."""
+    path = [0.0, *(0.02 * k * k for k in range(7))]
+    views = film(at([(s, 0.0) for s in [*path, *[path[-1]] * 4]]), look=REAL, **SMALL)
+    measurer, answers = measurer_of(views[0].camera, views[0].lattice), []
+    for k, seen in enumerate(views):
+        late = outage if k > len(path) - 1 else 0
+        answers += measurer.measure(seen.image, (k + late) * PERIOD_NS, "progressive")
+        if k == len(path) - 1:
+            black = np.zeros_like(seen.image)
+            for blank in range(1, outage):
+                measurer.measure(black, (k + blank) * PERIOD_NS, "progressive")
+    assert never_slips_unseen(views, answers)
+    assert [m.lock for m in answers[-3:]] == [Lock.FULL] * 3
+    assert drift_pitches(views, answers)[-3:].max() < 0.05
+
+
+def test_places_do_not_slide_over_a_picture_that_stands():
+    """A jump of labels taken for a speed moved them on, picture by picture, under one number of the index."""
+    views = film(at([(0.0, 0.0)] * 4), look=ALIKE, **SMALL)
+    measurer = measurer_of(views[0].camera, views[0].lattice)
+    for k in range(6):
+        measurer.measure(views[k % 4].image, k * PERIOD_NS, "progressive")
+    away = film(at([(0.45, 0.3)] * 8), look=ALIKE, **SMALL)
+    answers = [measurer.measure(seen.image, (60 + k) * PERIOD_NS, "progressive")[0] for k, seen in enumerate(away)]
+    assert len({m.index for m in answers}) == 1
+    first = answers[0].tubes
+    for m in answers[1:]:
+        there = {(r, c): xy for r, c, xy in zip(m.tubes.row, m.tubes.column, m.tubes.center_px, strict=True)}
+        assert all(
+            np.hypot(*(there[r, c] - xy)) < 2.0
+            for r, c, xy in zip(first.row, first.column, first.center_px, strict=True)
+            if (r, c) in there
+        )
+        assert any((r, c) in there for r, c in zip(first.row, first.column, strict=True))
