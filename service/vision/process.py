@@ -136,16 +136,20 @@ class Measurer:
 
     def _undecided(self, pixels: Image, time_ns: int) -> list[Measurement]:
         """Answer for a frame of which nobody knows whether it is interlaced, and find that out."""
-        whole, before = packed(pixels), self._tracker.apart()  # its map must not learn what a comb moved
+        whole, before = packed(pixels), self._tracker
+        self._tracker = before.copy()
         seen: dict[int, Seen] = {}
-        answer = self._answer(whole, None, time_ns, seen)
+        answer = self._answer(whole, None, time_ns, seen, learn=False)  # a comb may have moved it
         refined, motion_px = seen[FRAME].refined, self._tracker.motion_px(self._period_ns)
         if refined is not None and fields_agree(whole, refined, self._lattice):
             self._interlace.agreed(motion_px)
+            self._tracker.learn(refined)
             return [answer]
         top, bottom = self._both_fields(whole, refined, before, time_ns)
         self._interlace.compared(refined, top, bottom, motion_px)
         if self._interlace.scan is not Scan.INTERLACED or top is None:
+            if refined is not None:
+                self._tracker.learn(refined)
             return [answer]
         self._tracker = before
         self._tracker.follow(top, time_ns)
@@ -158,7 +162,7 @@ class Measurer:
 
         A bottom field has nothing to tell where the top one shows no pattern.
         """
-        tracker = before.apart()
+        tracker = before.copy()
         if refined is not None:
             tracker.follow(refined, time_ns)
         top = tracker.step(packed(whole[0::2]), 0, time_ns, Stopwatch(self._tick)).refined
@@ -167,14 +171,16 @@ class Measurer:
         return top, tracker.step(packed(whole[1::2]), 1, time_ns, Stopwatch(self._tick)).refined
 
     def _answer(
-        self, image: Image, parity: int | None, time_ns: int, seen: dict[int, Seen] | None = None
+        self, image: Image, parity: int | None, time_ns: int, seen: dict[int, Seen] | None = None, *, learn: bool = True
     ) -> Measurement:
-        """Measure one picture and say what is known of it."""
+        """Measure one picture and say what is known of it; `learn`: put it into the map of places."""
         watch = Stopwatch(self._tick)
         found = self._tracker.step(image, parity, time_ns, watch)
         if seen is not None:
             seen[FRAME if parity is None else parity] = found
         name = "progressive" if parity is None else ("top", "bottom")[parity]
+        if learn and found.refined is not None:
+            self._tracker.learn(found.refined)
         if found.refined is None:
             return Measurement(name, Lock.NONE, found.reason, (), Tubes.none(), None, time_ns, watch.elapsed_ms())
         pose, tubes = estimates(found.refined, self._lattice, self._camera, parity)

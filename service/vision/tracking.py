@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from copy import copy, deepcopy
+from copy import copy
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -116,10 +116,6 @@ class Tracker:
         """A tracker that goes its own way from here; they share the map, all else that it keeps is immutable."""
         return copy(self)
 
-    def apart(self) -> Tracker:
-        """A tracker that goes its own way from here, with a map of its own: what the other learns, it does not."""
-        return deepcopy(self)
-
     def motion_px(self, period_ns: int) -> float:
         """How far the picture moves in a frame period at the last speed; NaN before two pictures."""
         if self.motion is None or not self.motion.speed_mm_per_s.any():
@@ -129,7 +125,7 @@ class Tracker:
         return speed * period_ns * 1e-9 * float(self._working.camera.vector()[0]) / depth
 
     def step(self, image: Image, parity: int | None, time_ns: int, watch: Stopwatch) -> Seen:
-        """Measure one picture: track, else search nearby, else acquire.
+        """Measure one picture: track, else search nearby, else acquire. What it shows is put into the map by `learn`.
 
         Parameters
         ----------
@@ -211,9 +207,12 @@ class Tracker:
             if verdict.slipped:
                 refined = refined.shifted(verdict.row, verdict.column, self.lattice)
                 self._relabel(verdict.row, verdict.column)
+        return refined
+
+    def learn(self, refined: Refined) -> None:
+        """Put a picture into the map, unless its index is in doubt."""
         if not self._doubt:
             self._map.learn(refined)
-        return refined
 
     def _track(
         self, image: Image, known: Camera, start: Camera, parity: int | None, time_ns: int, watch: Stopwatch
