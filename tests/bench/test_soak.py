@@ -11,9 +11,10 @@ from tests.bench.soak import slope_mb_per_h, told
 TIMES_S = np.arange(180.0)
 
 
-def samples(mb_per_h=0.0, waver_mb=0.0, fds=20, fds_at_end=20, seconds=180):
+def samples(mb_per_h=0.0, waver_mb=0.0, leap_mb=0.0, fds=20, fds_at_end=20, seconds=180):
     rng, times_s = np.random.default_rng(0), np.arange(float(seconds))
     rss = 250e6 + mb_per_h * 1e6 * times_s / 3600 + 1e6 * waver_mb * rng.normal(size=seconds)
+    rss += 1e6 * leap_mb * (times_s > 0.6 * seconds)
     fds = np.where(times_s < seconds - 10, fds, fds_at_end)
     return np.column_stack([times_s, rss, fds, np.full(seconds, 12)])
 
@@ -32,6 +33,8 @@ def test_a_slope_is_found_with_its_sigma():
     [
         ({}, 0),
         ({"waver_mb": 0.5}, 0),
+        ({"leap_mb": 1.0}, 0),
+        ({"leap_mb": 0.5, "mb_per_h": 40.0}, 1),
         ({"mb_per_h": 0.8}, 0),
         ({"mb_per_h": 5.0}, 0),
         ({"mb_per_h": 9.0}, 1),
