@@ -55,9 +55,10 @@ def slope_mb_per_h(times_s: np.ndarray, rss_bytes: np.ndarray) -> tuple[float, f
     some = slice(None, None, max(1, len(t) // MOST_PAIRED))
     one, other = np.triu_indices(len(t[some]), 1)
     slope = float(np.median((y[some][other] - y[some][one]) / (t[some][other] - t[some][one])))
-    left = y - y.mean() - slope * t
+    left = y - slope * t
+    left -= np.median(left)
     rho = float(np.corrcoef(left[:-1], left[1:])[0, 1]) if np.ptp(left) > 0 else 0.0
-    each = np.std(left, ddof=2) * np.sqrt((1 + max(0.0, rho)) / (1 - min(0.99, max(0.0, rho))))
+    each = 1.4826 * np.median(np.abs(left)) * np.sqrt((1 + max(0.0, rho)) / (1 - min(0.99, max(0.0, rho))))
     return 3600 * slope, 3600 * float(each / np.sqrt(t @ t))
 
 
