@@ -28,6 +28,8 @@ TOP = int(np.searchsorted(GRID, 1.9))
 CLEAR, CLEAR_RAYS, STILL_CLEAR = 20.0, 0.6, 5.0
 """Strength and share of rays of the tubes that tell the profile; strength of those that must do where they are few."""
 LEAST_CLEAR = 4
+OVERSHOT = 0.4
+"""Part of the shift that a broader edge is found with, which is too much."""
 FOOT_WIDTH = 1.07
 """Edge widths between where a profile reaches 16 % and 50 %: a blurred step's is one, but its foot is lit."""
 
@@ -52,6 +54,11 @@ class EdgeProfile:
     width_px: float
     template: NDArray[np.float64]
     learnt: bool
+
+    @property
+    def overshot(self) -> float:
+        """Part of the shifts that are found with it that is too much."""
+        return 0.0 if self.learnt else OVERSHOT
 
     @property
     def offsets_px(self) -> NDArray[np.float64]:

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.compiled import packed
-from service.vision.refinement import accepted
-from service.vision.rims import measure_rims
+from service.vision.rims import accepted, measure_rims
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.indexing import STEPS
-from service.vision.refinement import accepted
-from service.vision.rims import measure_rims
+from service.vision.rims import accepted, measure_rims
 from service.vision.roundness import out_of_round
 from service.vision.sites import lattice_places, numbered
 

@@ -26,7 +26,10 @@ if TYPE_CHECKING:
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["NO_PRIOR", "Fit", "Prior", "camera_with", "fit_pose", "linearise", "pose_from_plane", "prior_of"]
+__all__ = [
+    "MEDIAN_OF_TWO", "NO_PRIOR", "TUKEY", "Fit", "Prior", "camera_with", "damped_step", "fit_pose", "linearise",
+    "pose_from_plane", "prior_of", "turned",
+]  # fmt: skip
 
 POSE = 6
 PARAMETERS = ("focal_length_mm", "sx", "cx_px", "cy_px", "kappa1_per_mm2", "k1", "k2", "p1", "p2", "k3")
@@ -37,6 +40,8 @@ BENT = 0.3
 """How much an unknown lens may bend the edge of the picture, one sigma."""
 TUKEY = 4.685
 """Tukey's constant: 95 % efficiency where errors are normal."""
+MEDIAN_OF_TWO = 1.386
+"""Median of chi-square with two degrees of freedom."""
 
 
 @compiled
@@ -134,7 +139,7 @@ def _vector(theta: Array, kind: float, pitch_mm: Array, fold: float, v: Array) -
 
 
 @compiled
-def _turned(R: Array, w: Array) -> Array:
+def turned(R: Array, w: Array) -> Array:
     """exp(w) @ R, re-orthonormalised: errors would otherwise grow from frame to frame."""
     a = math.sqrt(w[0] * w[0] + w[1] * w[1] + w[2] * w[2])
     s = math.sin(a) / a if a > 1e-9 else 1.0
@@ -212,8 +217,8 @@ def _most_have_an_image(px: Array) -> bool:
 
 @compiled
 def _scale_of(m2: Array) -> float:
-    """Robust variance of unit weight; 1.386 is the median of chi-square with two degrees of freedom."""
-    return max(median_of(m2) / 1.386, 0.25)
+    """Robust variance of unit weight."""
+    return max(median_of(m2) / MEDIAN_OF_TWO, 0.25)
 
 
 @compiled
@@ -226,7 +231,7 @@ def _prior_cost(theta: Array, free: NDArray[np.int64], info: Array, mean: Array)
 
 
 @compiled
-def _damped_step(A: Array, b: Array, damping: float) -> Array:
+def damped_step(A: Array, b: Array, damping: float) -> Array:
     """Levenberg's step, scaled so that unlike parameters compare."""
     m = b.shape[0]
     d = np.empty(m)
@@ -276,8 +281,8 @@ def _gauss_newton(
                 b[6 + p] -= prior_info[p, q] * (theta[free[q]] - prior_mean[q])
         better = False
         for _ in range(8):
-            x = _damped_step(A, b, damping)
-            Q = _turned(R, x[:3])
+            x = damped_step(A, b, damping)
+            Q = turned(R, x[:3])
             tn = (Q @ R.T) @ (t - pivot) + pivot + x[3:6]
             trial = theta.copy()
             for p in range(k):

@@ -28,7 +28,20 @@ if TYPE_CHECKING:
     Single: TypeAlias = NDArray[np.float32]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-__all__ = ["BASIS", "BORE", "ENERGY", "NOISE", "NUMBERS", "OUTSIDE", "Rays", "rays_for", "sample_rays", "straightening"]
+__all__ = [
+    "BASIS",
+    "BORE",
+    "ENERGY",
+    "NOISE",
+    "NUMBERS",
+    "OUTSIDE",
+    "Rays",
+    "circle_of",
+    "rays_for",
+    "sample",
+    "sample_rays",
+    "straightening",
+]
 
 NODES = 6
 """Points of a circle that are projected exactly; a trigonometric polynomial through them gives the others."""
@@ -77,7 +90,7 @@ class Rays:
 
 
 @lru_cache(maxsize=64)
-def _circle_of(count: int) -> Array:
+def circle_of(count: int) -> Array:
     """Cosine and sine of `count` angles around a circle, and of twice those, (4, count)."""
     a = 2 * np.pi * np.arange(count) / count
     return np.array([np.cos(a), np.sin(a), np.cos(2 * a), np.sin(2 * a)])
@@ -124,8 +137,8 @@ def sample_rays(
         valid=scratch.array((count, n), SINGLE), center_px=np.empty((n, 2)), mean=np.empty((n, SAMPLES)),
         level=np.empty(n),
     )  # fmt: skip
-    _sample(
-        image, bend, vector, rotation, translation_mm, sheet_mm, radius_mm, _circle_of(count),
+    sample(
+        image, bend, vector, rotation, translation_mm, sheet_mm, radius_mm, circle_of(count),
         profile.offsets_px, functionals, rays.numbers, rays.direction, rays.valid, rays.center_px, rays.mean,
         rays.level,
     )  # fmt: skip
@@ -133,7 +146,7 @@ def sample_rays(
 
 
 @compiled
-def _sample(
+def sample(
     image: Image, bend: float, v: Array, R: Array, t: Array, sheet_mm: Array, radius_mm: float, circle: Array,
     offsets: Array, functionals: Single, numbers: Single, direction: Single, valid: Single, center: Array, mean: Array,
     level: Array,

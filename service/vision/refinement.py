@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.compiled import compiled, median_in_place, median_of
+from service.vision.compiled import median_of
 from service.vision.edges import EdgeProfile, start_profile
-from service.vision.pose import NO_PRIOR, Fit, fit_pose, linearise
-from service.vision.rims import Rims, measure_rims
+from service.vision.pose import Fit, fit_pose, linearise
+from service.vision.rims import Rims, accepted, measure_rims
 from service.vision.sites import Sites, sites_in_picture
 from service.vision.states import tube_states
 from service.vision.systematics import Common, edge_bias, lit_walls, smooth_misfit
@@ -27,11 +27,8 @@ if TYPE_CHECKING:
     Array: TypeAlias = NDArray[np.float64]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-__all__ = ["Refined", "accepted", "approach", "projected", "refine"]
+__all__ = ["Refined", "projected", "refine"]
 
-LEAST_STRENGTH = 3.3
-"""Edges weaker than this are noise: bare plate seldom passes, and less often once radius and place must fit too."""
-LEAST_RAYS = 0.4
 LEAST_TUBES = 6
 """Fewer measured tubes do not make a pose worth telling."""
 SETTLED, STILL_SETTLED = 0.05, 0.15
@@ -40,16 +37,6 @@ is known from the picture before, so that a shift is all that there is to find."
 STEADY_WIDTH, NEAR_WIDTH = 0.93, 0.75
 """Least part of a profile's width that the next one may have, for a pass to be the last; and for it to be the last on a
 few tubes."""
-BROAD = 2.0
-"""Widths of the learnt edge that is looked for where tubes lie beyond its reach."""
-NEAR = 1.3
-"""Edge widths off that a learnt profile reaches."""
-WELL_WITHIN = 0.75
-"""Edge widths off from which one pass with the learnt profile brings tubes to where they count as settled."""
-APPROACHES, LEAST_GUIDES = 4, 0.5
-"""How often a few tubes are measured at the most to bring a pose near, and what part of them must show."""
-OVERSHOT = 0.4
-"""Part of the shift that a broader edge is found with, which is too much."""
 NARROWING = 0.36
 """Most that the search narrows from pass to pass."""
 ON_ALL = 2
@@ -104,49 +91,9 @@ class Refined:
         return replace(self, sites=sites, fit=replace(self.fit, translation_mm=translation))
 
 
-def approach(
-    image: Image, camera: Camera, lattice: Lattice, rotation: Array, translation_mm: Array, guides_mm: Array,
-    profile: EdgeProfile, stray_px: float,
-) -> tuple[Array, Array]:  # fmt: skip
-    """Bring a rough pose near by a few tubes, as far as enough of them show: a fraction of a full pass.
-
-    Parameters
-    ----------
-    image, camera, rotation, translation_mm
-        As in `refine`.
-    guides_mm
-        (m, 2) nominal places of the tubes.
-    profile
-        The learnt one.
-    stray_px
-        How far off the tubes are thought to lie. Where that is beyond the profile's reach, and where they are not
-        found, a broader edge is looked for first.
-    """
-    if len(guides_mm) < LEAST_TUBES:
-        return rotation, translation_mm
-    broad_px = max(BROAD * profile.width_px, stray_px)
-    look = profile if stray_px < NEAR * profile.width_px else start_profile(broad_px, profile.position_px)
-    for _ in range(APPROACHES):
-        rims = measure_rims(image, camera.vector(), rotation, translation_mm, guides_mm, lattice, look)
-        used = accepted(rims, look.width_px)
-        if used.sum() < max(LEAST_TUBES, LEAST_GUIDES * len(guides_mm)):
-            broad_px *= 1.0 if look is profile else BROAD
-            look = start_profile(broad_px, profile.position_px)
-            continue
-        fit = fit_pose(
-            guides_mm[used], _likely_centers(rims)[used], rims.covariance_px[used], camera, rotation, translation_mm,
-            lattice, NO_PRIOR,
-        )  # fmt: skip
-        rotation, translation_mm = fit.rotation, fit.translation_mm
-        if look is profile and _moved_px(rims, used) < WELL_WITHIN * profile.width_px:
-            break
-        look = profile
-    return rotation, translation_mm
-
-
 def _likely_centers(rims: Rims) -> Array:
     """Measured centres, (n, 2) px, less what a guessed edge overshoots."""
-    return rims.center_px if rims.looked.learnt else rims.center_px - OVERSHOT * rims.shift_px
+    return rims.center_px - rims.looked.overshot * rims.shift_px
 
 
 def _moved_px(rims: Rims, used: NDArray[np.bool_]) -> float:
@@ -283,27 +230,3 @@ def projected(camera: Camera, rotation: Array, translation_mm: Array, sheet_mm: 
     px, J, place = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty((n, 2, 3))
     linearise(camera.vector(), 1.0, 1.0, rotation, translation_mm, translation_mm, sheet_mm, 6, px, J, place)
     return px, place
-
-
-def accepted(rims: Rims, width_px: float, usual_radius_px: float | None = None) -> NDArray[np.bool_]:
-    """Tubes whose edge is clear, whole enough, of the usual size (that of the others) and where it may be."""
-    usual = math.nan if usual_radius_px is None else usual_radius_px
-    return _accepted(rims.strength, rims.rays, rims.radius_px, rims.shift_px, width_px, usual)
-
-
-@compiled
-def _accepted(
-    strength: Array, rays: Array, radius: Array, shift: Array, width: float, usual: float
-) -> NDArray[np.bool_]:
-    n = strength.shape[0]
-    out, work, m = np.zeros(n, np.bool_), np.empty(n), 0
-    for i in range(n):
-        if strength[i] > LEAST_STRENGTH and rays[i] > LEAST_RAYS:
-            work[m] = radius[i]
-            out[i], m = True, m + 1
-    if m and math.isnan(usual):
-        usual = median_in_place(work, m)
-    for i in range(n):
-        off = shift[i, 0] * shift[i, 0] + shift[i, 1] * shift[i, 1]
-        out[i] = out[i] and abs(radius[i] - usual) < width and off < 4.0 * width * width
-    return out

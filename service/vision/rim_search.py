@@ -17,7 +17,10 @@ if TYPE_CHECKING:
     Array: TypeAlias = NDArray[np.float64]
     Single: TypeAlias = NDArray[np.float32]
 
-__all__ = ["find"]
+__all__ = ["REACH", "find"]
+
+REACH = 1.6
+"""Largest shift of a ray, in edge widths, that the linear model serves."""
 
 LEAST_RAY_GAIN = 0.12
 """A ray whose gain falls below this share of the tube's shows no edge."""

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.compiled import compiled
+from service.vision.compiled import compiled, median_in_place
 from service.vision.edges import profile_of
 from service.vision.light import SLOPE_REACH, light_slopes
 from service.vision.rays import rays_for, sample_rays, straightening
@@ -36,7 +36,7 @@ from service.vision.rim_levels import (
     STRENGTH,
     levels,
 )  # fmt: skip
-from service.vision.rim_search import find
+from service.vision.rim_search import REACH, find
 from service.vision.rim_solver import solve
 from service.vision.scratch import borrowed
 from service.vision.shapes import shapes_of
@@ -51,15 +51,16 @@ if TYPE_CHECKING:
     Array: TypeAlias = NDArray[np.float64]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-__all__ = ["Rims", "measure_rims"]
+__all__ = ["Rims", "accepted", "accepted_rims", "measure_rims", "px_per_mm"]
 
 LIGHT_SHIFT, LIGHT_BLUR, SHARP_PX = 0.3, 0.5, 0.8
 """What uneven light shifts a rim by, in `Rims.light_px`: on sharp pictures, and more per px of blur beyond SHARP_PX.
 Measured on truth."""
 NOISE_SCALE = 2.0
 """Error of a sample one px long over the grey values' second difference in the bore."""
-REACH = 1.6
-"""Largest shift of a ray, in edge widths, that the linear model serves."""
+LEAST_STRENGTH = 3.3
+"""Edges weaker than this are noise: bare plate seldom passes, and less often once radius and place must fit too."""
+LEAST_RAYS = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -142,7 +143,7 @@ def _measured(
 ) -> Rims:  # fmt: skip
     """The same with memory to work in."""
     n, aspect = len(sheet_mm), float(vector[0] / vector[1])
-    scale = _px_per_mm(vector, rotation, translation_mm, sheet_mm)
+    scale = px_per_mm(vector, rotation, translation_mm, sheet_mm)
     count = rays or rays_for(2 * math.pi * lattice.rim_radius_mm * scale)
     functionals, shapes = shapes_of(profile, (lattice.outer_radius_mm - lattice.rim_radius_mm) * scale)
     bend = straightening(image)
@@ -204,8 +205,33 @@ def _placed(
     return center, shift, covariance
 
 
-def _px_per_mm(vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array) -> float:
+def px_per_mm(vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array) -> float:
     """Scale in the middle of the places, px per mm."""
     middle = sheet_mm.mean(axis=0)
     depth = rotation[2, 0] * middle[0] + rotation[2, 1] * middle[1] + translation_mm[2]
     return math.sqrt(vector[0] * vector[1]) / max(float(depth), 1e-6)
+
+
+def accepted(rims: Rims, width_px: float, usual_radius_px: float | None = None) -> NDArray[np.bool_]:
+    """Tubes whose edge is clear, whole enough, of the usual size (that of the others) and where it may be."""
+    usual = math.nan if usual_radius_px is None else usual_radius_px
+    return accepted_rims(rims.strength, rims.rays, rims.radius_px, rims.shift_px, width_px, usual)
+
+
+@compiled
+def accepted_rims(
+    strength: Array, rays: Array, radius: Array, shift: Array, width: float, usual: float
+) -> NDArray[np.bool_]:
+    """Kernel of `accepted`; `usual` is NaN where the tubes themselves tell the usual radius."""
+    n = strength.shape[0]
+    out, work, m = np.zeros(n, np.bool_), np.empty(n), 0
+    for i in range(n):
+        if strength[i] > LEAST_STRENGTH and rays[i] > LEAST_RAYS:
+            work[m] = radius[i]
+            out[i], m = True, m + 1
+    if m and math.isnan(usual):
+        usual = median_in_place(work, m)
+    for i in range(n):
+        off = shift[i, 0] * shift[i, 0] + shift[i, 1] * shift[i, 1]
+        out[i] = out[i] and abs(radius[i] - usual) < width and off < 4.0 * width * width
+    return out

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.acquire import candidates
+from service.vision.approach import approach
 from service.vision.compiled import median_of
 from service.vision.edges import start_profile
 from service.vision.evidence import CONTRADICTION, SUSPICIOUS, PlaceMap
@@ -17,7 +18,7 @@ from service.vision.lock import LEAST_TUBES, MOST_STRAY, Proof, prove
 from service.vision.motion import Motion, aligned, centred, looked_at
 from service.vision.pose import prior_of
 from service.vision.projection import project
-from service.vision.refinement import approach, refine
+from service.vision.refinement import refine
 from service.vision.search import search_shift
 from service.vision.two_terms import with_two_terms
 from service.vision.working import WorkingCamera

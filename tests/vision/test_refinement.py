@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from drivers.scene import CLEAN, NOMINAL
+from service.vision.approach import approach
 from service.vision.edges import start_profile
 from service.vision.measurement import Lock, Origin
 from service.vision.projection import project
-from service.vision.refinement import approach
 from service.vision.rims import measure_rims
 from service.vision.shapes import shapes_of
 from tests.scenes.rendered import PLAIN, errors_of, looking, view

@@ -1,0 +1,165 @@
+"""Bring a predicted pose near by a few tubes, before all of them are measured: a fraction of a full pass.
+
+Half as many rays are told their edges' shifts one by one, as `rim_search` does, and one step of the pose follows the
+tubes' shifts: with no covariances, no lattice scatter and no second look.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from service.vision.compiled import compiled, median_in_place
+from service.vision.edges import SAMPLES, start_profile
+from service.vision.pose import MEDIAN_OF_TWO, TUKEY, damped_step, linearise, turned
+from service.vision.rays import NUMBERS, circle_of, sample, straightening
+from service.vision.rim_levels import COVERED, FIGURES, RADIUS, SHIFT, STRENGTH, levels
+from service.vision.rim_search import REACH, find
+from service.vision.rims import accepted_rims, px_per_mm
+from service.vision.shapes import shapes_of
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from service.vision.camera import Camera
+    from service.vision.edges import EdgeProfile
+    from service.vision.lattice import Lattice
+
+    Array: TypeAlias = NDArray[np.float64]
+    Single: TypeAlias = NDArray[np.float32]
+    Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+
+__all__ = ["approach"]
+
+RAYS = 12
+"""Rays a tube: half of what measuring takes."""
+LEAST_TUBES, LEAST_SHARE = 6, 0.5
+"""How many of the tubes must show."""
+ROUNDS = 4
+"""How often they are looked at, at the most."""
+NEAR, BROAD = 1.3, 2.0
+"""Edge widths off that a learnt profile reaches, and widths of the edge that is looked for beyond that."""
+WELL_WITHIN = 0.75
+"""Edge widths off from which one step brings tubes to where they count as settled."""
+REWEIGHTS = 3
+LEAST_STRAY_PX = 0.02
+"""Tubes never agree better than that on where the pose goes."""
+
+
+def approach(
+    image: Image, camera: Camera, lattice: Lattice, rotation: Array, translation_mm: Array, guides_mm: Array,
+    profile: EdgeProfile, stray_px: float,
+) -> tuple[Array, Array]:  # fmt: skip
+    """Bring a rough pose near by a few tubes, as far as enough of them show.
+
+    Parameters
+    ----------
+    image, camera, rotation, translation_mm
+        As in `refinement.refine`.
+    guides_mm
+        (m, 2) nominal places of the tubes.
+    profile
+        The learnt one.
+    stray_px
+        How far off the tubes are thought to lie. Where that is beyond the profile's reach, and where they are not
+        found, a broader edge is looked for first.
+    """
+    if len(guides_mm) < LEAST_TUBES:
+        return rotation, translation_mm
+    least, vector = max(LEAST_TUBES, LEAST_SHARE * len(guides_mm)), camera.vector()
+    wall_px = (lattice.outer_radius_mm - lattice.rim_radius_mm) * px_per_mm(vector, rotation, translation_mm, guides_mm)
+    broad_px = max(BROAD * profile.width_px, stray_px)
+    look = profile if stray_px < NEAR * profile.width_px else start_profile(broad_px, profile.position_px)
+    for _ in range(ROUNDS):
+        functionals, shapes = shapes_of(look, wall_px)
+        turn, shift = np.empty((3, 3)), np.empty(3)
+        seen, moved_px = _step(
+            image, straightening(image) if look.learnt else 0.0, vector, rotation, translation_mm, guides_mm,
+            lattice.rim_radius_mm, circle_of(RAYS), look.offsets_px, functionals, shapes.first, shapes.edge,
+            shapes.moved, look.width_px, look.overshot, turn, shift,
+        )  # fmt: skip
+        if seen < least:
+            broad_px *= 1.0 if look is profile else BROAD
+            look = start_profile(broad_px, profile.position_px)
+            continue
+        rotation, translation_mm = turn, shift
+        if look is profile and moved_px < WELL_WITHIN * profile.width_px:
+            break
+        look = profile
+    return rotation, translation_mm
+
+
+@compiled
+def _step(
+    image: Image, bend: float, v: Array, R: Array, t: Array, guides: Array, radius_mm: float, circle: Array,
+    offsets: Array, functionals: Single, first: Array, edge: Array, moved: Array, width: float, overshot: float,
+    turn: Array, translation: Array,
+) -> tuple[int, float]:  # fmt: skip
+    """One step, into `turn` and `translation`; gives how many tubes told it, and how far off they lay."""
+    n, count = guides.shape[0], circle.shape[1]
+    numbers, direction = np.empty((NUMBERS, count, n), np.float32), np.empty((2, count, n), np.float32)
+    valid, center, mean = np.empty((count, n), np.float32), np.empty((n, 2)), np.empty((n, SAMPLES))
+    told, level = np.zeros((FIGURES, n)), np.empty(n)
+    sample(
+        image, bend, v, R, t, guides, radius_mm, circle, offsets, functionals, numbers, direction, valid, center, mean,
+        level,
+    )  # fmt: skip
+    levels(numbers, valid, first, edge, told)
+    find(numbers, direction, valid, first, edge, moved, REACH * width, told)
+    shift = np.empty((n, 2))
+    for i in range(n):
+        shift[i, 0], shift[i, 1] = told[SHIFT, i], told[SHIFT + 1, i] * v[1] / v[0]
+    used = accepted_rims(told[STRENGTH], told[COVERED], told[RADIUS], shift, width, math.nan)
+    seen, off = 0, np.empty((2, n))
+    for i in range(n):
+        if used[i]:
+            off[0, seen], off[1, seen] = shift[i, 0], shift[i, 1]
+            seen += 1
+    if seen < LEAST_TUBES:
+        return seen, math.nan
+    shift *= 1.0 - overshot
+    _follow(v, R, t, guides, shift, used, turn, translation)
+    return seen, max(abs(median_in_place(off[0], seen)), abs(median_in_place(off[1], seen)))
+
+
+@compiled
+def _follow(
+    v: Array, R: Array, t: Array, guides: Array, shift: Array, used: NDArray[np.bool_], turn: Array, translation: Array
+) -> None:
+    """The pose that shifts the used tubes so, by Tukey's biweight, into `turn` and `translation`."""
+    n = guides.shape[0]
+    px, J, place = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty((n, 2, 3))
+    middle = np.zeros(2)
+    for i in range(n):
+        middle += guides[i] / n
+    pivot = R[:, 0] * middle[0] + R[:, 1] * middle[1] + t
+    linearise(v, 1.0, 1.0, R, t, pivot, guides, 6, px, J, place)
+    x, weight, squares = np.zeros(6), used.astype(np.float64), np.empty(n)
+    for step in range(REWEIGHTS):
+        A, b = np.zeros((6, 6)), np.zeros(6)
+        for i in range(n):
+            for p in range(6):
+                gx, gy = weight[i] * J[i, 0, p], weight[i] * J[i, 1, p]
+                b[p] += gx * shift[i, 0] + gy * shift[i, 1]
+                for q in range(6):
+                    A[p, q] += gx * J[i, 0, q] + gy * J[i, 1, q]
+        x = damped_step(A, b, 0.0)
+        if step == REWEIGHTS - 1:
+            break
+        m = 0
+        for i in range(n):
+            ex, ey = shift[i, 0], shift[i, 1]
+            for p in range(6):
+                ex -= J[i, 0, p] * x[p]
+                ey -= J[i, 1, p] * x[p]
+            weight[i] = ex * ex + ey * ey
+            if used[i]:
+                squares[m] = weight[i]
+                m += 1
+        cut = TUKEY * TUKEY * (median_in_place(squares, m) / MEDIAN_OF_TWO + LEAST_STRAY_PX * LEAST_STRAY_PX)
+        for i in range(n):
+            weight[i] = max(1.0 - weight[i] / cut, 0.0) ** 2 if used[i] else 0.0
+    turn[:] = turned(R, x[:3])
+    translation[:] = (turn @ R.T) @ (t - pivot) + pivot + x[3:6]
