@@ -86,26 +86,15 @@ class Camera:
         return (self.image_size_px[0] - 1) / 2, (self.image_size_px[1] - 1) / 2
 
     def vector(self) -> NDArray[np.float64]:
-        """Intrinsics as kernels take them, see `lens_vector`. Unknown values stand at their neutral start."""
-        if self.focal_length_mm is None:
-            raise ValueError("a camera without focal length cannot project")
-        f, (dx, dy) = self.focal_length_mm, self.pixel_pitch_mm
-        return lens_vector((self.sx or 1.0) * f / dx, f / dy, self.principal_point_px or self.middle_px, self.lens, f)
+        """Intrinsics as kernels take them, see `lens_vector`, not to be written to; unknown values at their start."""
+        return _vector_of(self)
 
     def of_field(self, parity: int) -> Camera:
         """The camera of one field of its interlaced picture: every other line from `parity` (0 top, 1 bottom) on.
 
         A field is a picture of its own with twice the line pitch; nothing else changes.
         """
-        (w, h), (dx, dy), (cx, cy) = self.image_size_px, self.pixel_pitch_mm, self.principal_point_px or self.middle_px
-        halves = np.array([0.5 if p == "cy_px" else 1.0 for p in self.parameters])
-        return replace(
-            self,
-            image_size_px=(w, (h - parity + 1) // 2),
-            pixel_pitch_mm=(dx, 2 * dy),
-            principal_point_px=None if self.principal_point_px is None else (cx, (cy - parity) / 2),
-            covariance=self.covariance * np.outer(halves, halves),
-        )
+        return _field_of(self, parity)
 
     def of_frame(self, known: Camera, parity: int | None) -> Camera:
         """What was found of a picture's camera, in terms of the full frame whose camera is `known`; see `of_field`."""
@@ -117,6 +106,30 @@ class Camera:
         return replace(
             known, focal_length_mm=self.focal_length_mm, lens=self.lens, sx=self.sx, principal_point_px=point
         )
+
+
+@lru_cache(maxsize=64)
+def _vector_of(camera: Camera) -> NDArray[np.float64]:
+    """Kernels ask for it many times a picture."""
+    if camera.focal_length_mm is None:
+        raise ValueError("a camera without focal length cannot project")
+    f, (dx, dy) = camera.focal_length_mm, camera.pixel_pitch_mm
+    center = camera.principal_point_px or camera.middle_px
+    return lens_vector((camera.sx or 1.0) * f / dx, f / dy, center, camera.lens, f)
+
+
+@lru_cache(maxsize=64)
+def _field_of(camera: Camera, parity: int) -> Camera:
+    """The same camera for the same field, again and again."""
+    (w, h), (dx, dy), point = camera.image_size_px, camera.pixel_pitch_mm, camera.principal_point_px
+    halves = np.array([0.5 if p == "cy_px" else 1.0 for p in camera.parameters])
+    return replace(
+        camera,
+        image_size_px=(w, (h - parity + 1) // 2),
+        pixel_pitch_mm=(dx, 2 * dy),
+        principal_point_px=None if point is None else (point[0], (point[1] - parity) / 2),
+        covariance=camera.covariance * np.outer(halves, halves),
+    )
 
 
 def lens_vector(

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.compiled import compiled, median_of
-from service.vision.measurement import Origin, Pose, PoseSigma, Tubes
-from service.vision.pose import PARAMETERS, linearise
+from service.vision.measurement import Pose, PoseSigma, Tubes
+from service.vision.pose import PARAMETERS, POSE, linearise
+from service.vision.systematics import bias_variance, misfit_variance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -41,11 +42,9 @@ def estimates(refined: Refined, lattice: Lattice, camera: Camera, parity: int | 
     parity
         0 or 1 where the picture was the top or the bottom field, None for a frame.
     """
-    scale = median_of(np.hypot(refined.place[:, 0, 0], refined.place[:, 0, 1]))
-    measured = _telling(refined, lattice, scale)
-    center, sigma = _posterior(refined, lattice, measured)
+    center, sigma, measured = _posterior(refined, lattice)
     usual = median_of(sigma[measured if measured.any() else refined.used])
-    pose = _pose(refined, lattice, camera, parity, usual / scale)
+    pose = _pose(refined, lattice, camera, parity, usual / refined.scale)
     if parity is not None:
         center = center * [1.0, 2.0] + [0.0, parity]
         sigma = sigma * math.sqrt(2.5)  # per axis of the full frame: rms of 1 and 2
@@ -54,7 +53,7 @@ def estimates(refined: Refined, lattice: Lattice, camera: Camera, parity: int | 
         column=refined.sites.column.astype(np.int32),
         center_px=center,
         sigma_px=sigma,
-        origin=np.where(measured, Origin.MEASURED, Origin.INFERRED).astype(np.uint8),
+        origin=measured.view(np.uint8),
         state=refined.state,
     )
     there = np.isfinite(center[:, 0])  # the last solution may have moved a place beyond a bent lens's fold
@@ -64,14 +63,21 @@ def estimates(refined: Refined, lattice: Lattice, camera: Camera, parity: int | 
 def _pose(refined: Refined, lattice: Lattice, camera: Camera, parity: int | None, tube_sigma_mm: float) -> Pose:
     fit = refined.fit
     R, t = fit.rotation, fit.translation_mm
-    out = np.empty(4)
-    covariance = _pose_sigmas(
-        fit.covariance, refined.common.bias.covariance, R, t, fit.pivot_mm, fit.camera.vector(), out
+    out = np.empty(5)
+    covariance = _pose_figures(
+        fit.covariance,
+        refined.common.bias.covariance,
+        R,
+        t,
+        fit.pivot_mm,
+        fit.camera.vector(),
+        fit.residual_px,
+        fit.weight,
+        out,
     )
     distance = float(R[:, 2] @ t)
     pitch = distance * lattice.pitch_sigma_mm / lattice.pitch_mm
     k = 6 + fit.names.index("focal_length_mm") if "focal_length_mm" in fit.names else None
-    residual = fit.residual_px[fit.weight > 0]
     return Pose(
         rotation=R,
         translation_mm=t,
@@ -84,13 +90,15 @@ def _pose(refined: Refined, lattice: Lattice, camera: Camera, parity: int | None
             lateral_mm=max(float(out[3]), tube_sigma_mm),  # a tube's own sigma holds the pose's
             focal_length_mm=0.0 if k is None else math.sqrt(float(fit.covariance[k, k])),
         ),
-        reprojection_error_px=math.sqrt(float(np.mean(residual**2))) if residual.size else 0.0,
+        reprojection_error_px=float(out[4]),
     )
 
 
 @compiled
-def _pose_sigmas(solution: Array, bias: Array, R: Array, t: Array, pivot: Array, v: Array, out: Array) -> Array:
-    """Covariance, (6, 6), of a turn about the camera and of the translation; `out`: sigmas of `PoseSigma`.
+def _pose_figures(
+    solution: Array, bias: Array, R: Array, t: Array, pivot: Array, v: Array, residual: Array, weight: Array, out: Array
+) -> Array:
+    """Covariance, (6, 6), of a turn about the camera and of the translation; `out`: sigmas, and rms of the residuals.
 
     What remains unknown of the edges' common bias is a shift of the pose: an apparent depth of all rims one along the
     sheet's normal, a common shift in the picture one across the view.
@@ -119,61 +127,63 @@ def _pose_sigmas(solution: Array, bias: Array, R: Array, t: Array, pivot: Array,
         tilt_variance = 0.5 * (turn[0, 0] + turn[1, 1])
     out[0], out[1] = math.sqrt(tz @ cov @ tz), math.sqrt(along @ cov @ along)
     out[2], out[3] = math.sqrt(tilt_variance), math.sqrt(0.5 * (place[0, 0] + place[1, 1]))
+    squares, counted = 0.0, 0
+    for i in range(weight.shape[0]):
+        if weight[i] > 0.0:
+            squares += residual[i, 0] * residual[i, 0] + residual[i, 1] * residual[i, 1]
+            counted += 2
+    out[4] = math.sqrt(squares / counted) if counted else 0.0
     to_origin = np.eye(6)  # a turn about the pivot moves the origin: w x (t - pivot)
     to_origin[3, 1], to_origin[3, 2], to_origin[4, 0] = a[2], -a[1], -a[2]
     to_origin[4, 2], to_origin[5, 0], to_origin[5, 1] = a[0], a[1], -a[0]
     return to_origin @ cov @ to_origin.T
 
 
-def _telling(refined: Refined, lattice: Lattice, scale: float) -> NDArray[np.bool_]:
-    """Tubes whose own rim tells their place, (n,), of those that are used; `scale` in px per mm."""
-    own = np.sqrt((refined.rims.covariance_px[:, 0] + refined.rims.covariance_px[:, 2]) / 2)
-    return np.asarray(refined.used & (own < max(TELLING_PX, TELLING_SCATTERS * lattice.scatter_mm * scale)))
-
-
-def _posterior(refined: Refined, lattice: Lattice, measured: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Centres, (n, 2) px, and one sigma per axis, (n,)."""
-    fit, n = refined.fit, len(refined.sites)
-    camera, columns = fit.camera, 16 if fit.names else 6
-    px, J, place = np.empty((n, 2)), np.empty((n, 2, columns)), np.empty((n, 2, 3))
-    f, sx = camera.focal_length_mm or 1.0, camera.sx or 1.0
-    linearise(
-        camera.vector(), f, sx, fit.rotation, fit.translation_mm, fit.pivot_mm, refined.sites.sheet_mm, columns, px, J,
-        place,
-    )  # fmt: skip
-    if fit.names:
-        J = np.ascontiguousarray(J[:, :, [*range(6), *(6 + PARAMETERS.index(name) for name in fit.names)]])
-    center, variance = np.empty((n, 2)), np.empty(n)
-    misfit = refined.common.misfit.variance_px2(px, refined.shape)
+def _posterior(refined: Refined, lattice: Lattice) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Centres, (n, 2) px, one sigma per axis, (n,), and whether the tube's own rim tells its place, (n,)."""
+    fit, n, (height, width) = refined.fit, len(refined.sites), refined.shape[:2]
+    camera = fit.camera
+    free = np.array([*range(POSE), *(POSE + PARAMETERS.index(name) for name in fit.names)])
+    center, sigma, measured = np.empty((n, 2)), np.empty(n), np.empty(n, np.bool_)
+    telling = max(TELLING_PX, TELLING_SCATTERS * lattice.scatter_mm * refined.scale)
     _combine(
-        px, J, place, fit.covariance, measured, refined.rims.center_px, refined.rims.covariance_px,
-        lattice.scatter_mm**2, lattice.height_scatter_mm**2, misfit, center, variance,
+        camera.vector(), camera.focal_length_mm or 1.0, camera.sx or 1.0, fit.rotation, fit.translation_mm,
+        fit.pivot_mm, refined.sites.sheet_mm, free, fit.covariance, refined.used, refined.rims.center_px,
+        refined.rims.covariance_px, telling**2, lattice.scatter_mm**2, lattice.height_scatter_mm**2,
+        refined.common.misfit.sigma_px, refined.common.bias.covariance, width, height, center, sigma, measured,
     )  # fmt: skip
-    return center, np.sqrt(variance + refined.common.bias.variance_px2(place))
+    return center, sigma, measured
 
 
 @compiled
 def _combine(
-    px: Array, J: Array, place: Array, covariance: Array, used: NDArray[np.bool_], measured: Array, noise: Array,
-    scatter2: float, height2: float, misfit: Array, center: Array, variance: Array,
+    v: Array, f_mm: float, sx: float, R: Array, t: Array, pivot: Array, sheet: Array, free: NDArray[np.int64],
+    covariance: Array, used: NDArray[np.bool_], seen: Array, noise: Array, telling2: float, scatter2: float,
+    height2: float, misfit: float, bias: Array, width: int, height: int, center: Array, sigma: Array,
+    measured: NDArray[np.bool_],
 ) -> None:  # fmt: skip
-    """Weighted mean of each tube's own centre and of where the pose puts it; variance per axis."""
-    m = covariance.shape[0]
-    for i in range(px.shape[0]):
+    """Weighted mean of each tube's own centre, where it tells, and of where the pose puts it; sigma per axis."""
+    n, m = sheet.shape[0], free.shape[0]
+    columns = POSE if m == POSE else POSE + len(PARAMETERS)
+    px, J, place = np.empty((n, 2)), np.empty((n, 2, columns)), np.empty((n, 2, 3))
+    linearise(v, f_mm, sx, R, t, pivot, sheet, columns, px, J, place)
+    for i in range(n):
+        measured[i] = used[i] and 0.5 * (noise[i, 0] + noise[i, 2]) < telling2
         pxx, pxy, pyy = 0.0, 0.0, 0.0
         for q in range(m):
             gx, gy = 0.0, 0.0
             for p in range(m):
-                gx += J[i, 0, p] * covariance[p, q]
-                gy += J[i, 1, p] * covariance[p, q]
-            pxx += gx * J[i, 0, q]
-            pxy += gx * J[i, 1, q]
-            pyy += gy * J[i, 1, q]
-        if not used[i]:
-            center[i] = px[i]
-            variance[i] = 0.5 * (pxx + pyy)
-            continue
+                gx += J[i, 0, free[p]] * covariance[p, q]
+                gy += J[i, 1, free[p]] * covariance[p, q]
+            pxx += gx * J[i, 0, free[q]]
+            pxy += gx * J[i, 1, free[q]]
+            pyy += gy * J[i, 1, free[q]]
         q = place[i]
+        shared = bias_variance(bias, q[0, 2], q[1, 2])
+        if not measured[i]:
+            center[i] = px[i]
+            sigma[i] = math.sqrt(0.5 * (pxx + pyy) + shared)
+            continue
         sxx = scatter2 * (q[0, 0] ** 2 + q[0, 1] ** 2) + height2 * q[0, 2] ** 2
         sxy = scatter2 * (q[0, 0] * q[1, 0] + q[0, 1] * q[1, 1]) + height2 * q[0, 2] * q[1, 2]
         syy = scatter2 * (q[1, 0] ** 2 + q[1, 1] ** 2) + height2 * q[1, 2] ** 2
@@ -183,9 +193,10 @@ def _combine(
         # gain G = S (S + C)^-1: what the tube's own centre counts for
         g00, g01 = (sxx * tyy - sxy * txy) / det, (sxy * txx - sxx * txy) / det
         g10, g11 = (sxy * tyy - syy * txy) / det, (syy * txx - sxy * txy) / det
-        dx, dy = measured[i, 0] - px[i, 0], measured[i, 1] - px[i, 1]
+        dx, dy = seen[i, 0] - px[i, 0], seen[i, 1] - px[i, 1]
         center[i, 0], center[i, 1] = px[i, 0] + g00 * dx + g01 * dy, px[i, 1] + g10 * dx + g11 * dy
         own = g00 * cxx + g01 * cxy + g10 * cxy + g11 * cyy
         a, b, c, d = 1.0 - g00, -g01, -g10, 1.0 - g11
-        shared = a * a * pxx + 2.0 * a * b * pxy + b * b * pyy + c * c * pxx + 2.0 * c * d * pxy + d * d * pyy
-        variance[i] = 0.5 * (own + shared) + misfit[i]
+        by_pose = a * a * pxx + 2.0 * a * b * pxy + b * b * pyy + c * c * pxx + 2.0 * c * d * pxy + d * d * pyy
+        shared += misfit_variance(misfit, px[i, 0], px[i, 1], width, height)
+        sigma[i] = math.sqrt(0.5 * (own + by_pose) + shared)

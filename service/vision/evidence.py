@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.compiled import compiled, median_of
+from service.vision.compiled import compiled
 from service.vision.measurement import TubeState
 
 if TYPE_CHECKING:
@@ -128,8 +128,7 @@ def _offsets(refined: Refined) -> tuple[Array, Array]:
     n = len(refined.sites)
     off, variance = np.empty((n, 2)), np.empty(n)
     _to_sheet(refined.place, refined.rims.center_px, refined.predicted_px, refined.rims.covariance_px, off, variance)
-    scale = median_of(np.hypot(refined.place[:, 0, 0], refined.place[:, 0, 1]))
-    return off, CHANGING * variance + (ASIDE * refined.common.profile.width_px / scale) ** 2
+    return off, CHANGING * variance + (ASIDE * refined.common.profile.width_px / refined.scale) ** 2
 
 
 @compiled

@@ -82,8 +82,8 @@ def prove(image: Image, refined: Refined, lattice: Lattice, blobs: Blobs) -> Pro
     """Test a refined pose against the picture and its blobs, between the tubes as well as on them."""
     fit = refined.fit
     vector = fit.camera.vector()
-    measured = int(refined.used.sum())
-    share = measured / len(refined.sites)
+    measured = refined.shown
+    share = refined.share
     a1, a2 = lattice.basis_mm
     between = a1 / 2, (a1 + a2) / (2 if lattice.arrangement.symmetry == 4 else 3)
     usual = float(np.median(refined.rims.radius_px[refined.used]))

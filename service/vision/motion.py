@@ -6,8 +6,10 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, TypeAlias
 
-import cv2
 import numpy as np
+
+from service.vision.compiled import compiled
+from service.vision.pose import turned
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -61,33 +63,26 @@ class Motion:
     def at(self, time_ns: int) -> tuple[Array, Array]:
         """Predict the pose: at the last speed, or, for a short while, at one that has grown as it did last."""
         dt = (time_ns - self.time_ns) * 1e-9
-        turn_per_s, speed = self.turn_per_s, self.speed_mm_per_s
-        if self.grows and dt < GROWS_S:
-            turn_per_s, speed = turn_per_s + self.turn_trend_per_s2 * dt, speed + self.speed_trend_mm_per_s2 * dt
-        turn = np.asarray(cv2.Rodrigues(turn_per_s * dt)[0], np.float64)
-        rotation = np.ascontiguousarray(turn @ self.rotation)
-        anchor = self.rotation[:, :2] @ self.anchor_mm + self.translation_mm + speed * dt
-        return rotation, anchor - rotation[:, :2] @ self.anchor_mm
+        rotation, translation = np.empty((3, 3)), np.empty(3)
+        _predict(
+            self.rotation, self.translation_mm, self.anchor_mm, self.turn_per_s, self.speed_mm_per_s,
+            self.turn_trend_per_s2, self.speed_trend_mm_per_s2, dt, dt if self.grows and dt < GROWS_S else 0.0,
+            rotation, translation,
+        )  # fmt: skip
+        return rotation, translation
 
     def moved_to(self, rotation: Array, translation_mm: Array, time_ns: int, anchor_mm: Array) -> Motion:
         """The motion after a new measured pose."""
         dt = (time_ns - self.time_ns) * 1e-9
         if dt < LEAST_S:
             return replace(self, rotation=rotation, translation_mm=translation_mm, anchor_mm=anchor_mm, time_ns=time_ns)
-        turn = np.asarray(cv2.Rodrigues(rotation @ self.rotation.T)[0], np.float64).ravel() / dt
-        before = self.rotation[:, :2] @ anchor_mm + self.translation_mm
-        speed = (rotation[:, :2] @ anchor_mm + translation_mm - before) / dt
-        more_turn, more_speed = turn - self.turn_per_s, speed - self.speed_mm_per_s
-        constant = self._size_mm(more_turn, more_speed)
-        growing = self._size_mm(more_turn - self.turn_trend_per_s2 * dt, more_speed - self.speed_trend_mm_per_s2 * dt)
-        return Motion(
-            rotation, translation_mm, anchor_mm, time_ns, turn, speed, more_turn / dt, more_speed / dt,
-            growing < STEADIER * constant,
+        turn, speed, turn_trend, speed_trend = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+        grows = _speeds(
+            self.rotation, self.translation_mm, rotation, translation_mm, anchor_mm, dt, self.turn_per_s,
+            self.speed_mm_per_s, self.turn_trend_per_s2, self.speed_trend_mm_per_s2, turn, speed, turn_trend,
+            speed_trend,
         )  # fmt: skip
-
-    def _size_mm(self, turn: Array, shift_mm: Array) -> float:
-        """How large a turn and a shift are together, seen in the sheet."""
-        return float(np.sqrt(shift_mm @ shift_mm) + self.translation_mm[2] * np.sqrt(turn @ turn))
+        return Motion(rotation, translation_mm, anchor_mm, time_ns, turn, speed, turn_trend, speed_trend, grows)
 
     def relabelled(self, step_mm: Array) -> Motion:
         """The same motion where every tube's nominal place has grown by (2,) mm: an index mended is no travel."""
@@ -104,11 +99,58 @@ class Motion:
         return Motion(rotation, translation_mm, anchor_mm, time_ns, np.zeros(3), np.zeros(3))
 
 
+@compiled
+def _predict(
+    R: Array, t: Array, anchor: Array, turn: Array, speed: Array, turn_trend: Array, speed_trend: Array, dt: float,
+    grown: float, rotation: Array, translation: Array,
+) -> None:  # fmt: skip
+    """The pose after `dt` at speeds that have grown for `grown` s."""
+    rotation[:] = turned(R, (turn + turn_trend * grown) * dt)
+    for i in range(3):
+        there = R[i, 0] * anchor[0] + R[i, 1] * anchor[1] + t[i] + (speed[i] + speed_trend[i] * grown) * dt
+        translation[i] = there - rotation[i, 0] * anchor[0] - rotation[i, 1] * anchor[1]
+
+
+@compiled
+def _speeds(
+    R0: Array, t0: Array, R1: Array, t1: Array, anchor: Array, dt: float, last_turn: Array, last_speed: Array,
+    last_turn_trend: Array, last_speed_trend: Array, turn: Array, speed: Array, turn_trend: Array, speed_trend: Array,
+) -> bool:  # fmt: skip
+    """Speeds between two poses, and how they grew; whether they go on growing as they did.
+
+    Turn and shift are added up as seen in the sheet.
+    """
+    between = R1 @ R0.T
+    turn[0], turn[1] = between[2, 1] - between[1, 2], between[0, 2] - between[2, 0]
+    turn[2] = between[1, 0] - between[0, 1]
+    sine = 0.5 * math.sqrt(turn[0] ** 2 + turn[1] ** 2 + turn[2] ** 2)
+    angle = math.atan2(sine, 0.5 * (between[0, 0] + between[1, 1] + between[2, 2] - 1.0))
+    turn *= 0.5 * (angle / sine if sine > 1e-9 else 1.0) / dt
+    constant, growing = np.zeros(2), np.zeros(2)
+    for i in range(3):
+        before = R0[i, 0] * anchor[0] + R0[i, 1] * anchor[1] + t0[i]
+        speed[i] = (R1[i, 0] * anchor[0] + R1[i, 1] * anchor[1] + t1[i] - before) / dt
+        turn_trend[i], speed_trend[i] = (turn[i] - last_turn[i]) / dt, (speed[i] - last_speed[i]) / dt
+        constant[0] += turn_trend[i] ** 2
+        constant[1] += speed_trend[i] ** 2
+        growing[0] += (turn_trend[i] - last_turn_trend[i]) ** 2
+        growing[1] += (speed_trend[i] - last_speed_trend[i]) ** 2
+    steady = math.sqrt(growing[1]) + t0[2] * math.sqrt(growing[0])
+    return bool(steady < STEADIER * (math.sqrt(constant[1]) + t0[2] * math.sqrt(constant[0])))
+
+
+@compiled
 def looked_at(rotation: Array, translation_mm: Array) -> Array:
     """Where the optical axis meets the sheet, (2,) mm."""
-    center = -rotation.T @ translation_mm
-    axis = rotation[2]
-    return np.asarray(center[:2] - axis[:2] * center[2] / axis[2])
+    out, depth = np.empty(2), 0.0
+    for k in range(3):
+        depth -= rotation[k, 2] * translation_mm[k]
+    for c in range(2):
+        foot = 0.0
+        for k in range(3):
+            foot -= rotation[k, c] * translation_mm[k]
+        out[c] = foot - rotation[2, c] * depth / rotation[2, 2]
+    return out
 
 
 def centred(rotation: Array, translation_mm: Array, lattice: Lattice) -> tuple[Array, Array]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
 import cv2
@@ -27,8 +28,8 @@ if TYPE_CHECKING:
     Array: TypeAlias = NDArray[np.float64]
 
 __all__ = [
-    "MEDIAN_OF_TWO", "NO_PRIOR", "TUKEY", "Fit", "Prior", "camera_with", "damped_step", "fit_pose", "linearise",
-    "pose_from_plane", "prior_of", "turned",
+    "MEDIAN_OF_TWO", "NO_PRIOR", "PARAMETERS", "POSE", "TUKEY", "Fit", "Prior", "camera_with", "damped_step",
+    "fit_pose", "linearise", "pose_from_plane", "prior_of", "turned",
 ]  # fmt: skip
 
 POSE = 6
@@ -40,6 +41,8 @@ BENT = 0.3
 """How much an unknown lens may bend the edge of the picture, one sigma."""
 TUKEY = 4.685
 """Tukey's constant: 95 % efficiency where errors are normal."""
+MOST_OVERSTEP = 1.6
+"""Most by which a step may be longer than one for constant weights."""
 MEDIAN_OF_TWO = 1.386
 """Median of chi-square with two degrees of freedom."""
 
@@ -206,6 +209,18 @@ def _weigh(m2: Array, scale: float, weight: Array) -> float:
 
 
 @compiled
+def _overstep(m2: Array, scale: float) -> float:
+    """By how much a step falls short that takes Tukey's weights for constant: they fall off as residuals grow."""
+    cut, sum_w, sum_slope = scale * TUKEY * TUKEY, 0.0, 0.0
+    for i in range(m2.shape[0]):
+        u = 1.0 - m2[i] / cut
+        if u > 0.0:
+            sum_w += u * u
+            sum_slope += u * u - 2.0 * u * (1.0 - u)  # in two dimensions
+    return min(sum_w / max(sum_slope, 0.5 * sum_w), MOST_OVERSTEP)
+
+
+@compiled
 def _most_have_an_image(px: Array) -> bool:
     """Whether a step may be judged by its cost: with all points behind the camera that is a finite one."""
     seen = 0
@@ -279,9 +294,11 @@ def _gauss_newton(
             for q in range(k):
                 A[6 + p, 6 + q] += prior_info[p, q]
                 b[6 + p] -= prior_info[p, q] * (theta[free[q]] - prior_mean[q])
-        better = False
+        better, longer = False, _overstep(m2, scale)
         for _ in range(8):
             x = damped_step(A, b, damping)
+            if damping == 0.0:
+                x *= longer
             Q = turned(R, x[:3])
             tn = (Q @ R.T) @ (t - pivot) + pivot + x[3:6]
             trial = theta.copy()
@@ -384,22 +401,45 @@ class Fit:
         k = POSE + self.names.index(name)
         return math.sqrt(float(self.covariance[k, k]))
 
-    def response(self, field_px: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How the solution, (6 + k,), would follow if all n centres were shifted by `field_px`, (n, 2), together."""
-        pull = _pull(self.gradient, self.information, self.weight, field_px)
-        return np.asarray(self.covariance @ pull / max(1.0, self.scatter_factor**2))
+    def widened(self, fields_px: NDArray[np.float64], more: NDArray[np.float64]) -> Fit:
+        """The same with what no residual shows in its covariance.
+
+        Parameters
+        ----------
+        fields_px
+            (m, n, 2) shifts of all n centres together, one sigma each.
+        more
+            (6 + k, 6 + k) what else adds to the covariance.
+        """
+        covariance = self.covariance + more
+        _widen(
+            self.gradient, self.information, self.weight, fields_px,
+            self.covariance / max(1.0, self.scatter_factor**2), covariance,
+        )  # fmt: skip
+        return replace(self, covariance=covariance)
 
 
 @compiled
-def _pull(gradient: Array, information: Array, weight: Array, field: Array) -> Array:
-    """Right side of the normal equations, (6 + k,), for residuals (n, 2)."""
-    pull = np.zeros(gradient.shape[2])
-    for i in range(gradient.shape[0]):
-        xx, xy, yy = information[i, 0], information[i, 1], information[i, 2]
-        x, y = weight[i] * field[i, 0], weight[i] * field[i, 1]
-        for p in range(gradient.shape[2]):
-            pull[p] += gradient[i, 0, p] * (xx * x + xy * y) + gradient[i, 1, p] * (xy * x + yy * y)
-    return pull
+def _widen(
+    gradient: Array, information: Array, weight: Array, fields: Array, response: Array, covariance: Array
+) -> None:
+    """Add to a covariance how the solution, which responds so to the right side of its equations, would follow."""
+    m = gradient.shape[2]
+    pull, moved = np.empty(m), np.empty(m)
+    for f in range(fields.shape[0]):
+        pull[:] = 0.0
+        for i in range(gradient.shape[0]):
+            xx, xy, yy = information[i, 0], information[i, 1], information[i, 2]
+            x, y = weight[i] * fields[f, i, 0], weight[i] * fields[f, i, 1]
+            for p in range(m):
+                pull[p] += gradient[i, 0, p] * (xx * x + xy * y) + gradient[i, 1, p] * (xy * x + yy * y)
+        for p in range(m):
+            moved[p] = 0.0
+            for q in range(m):
+                moved[p] += response[p, q] * pull[q]
+        for p in range(m):
+            for q in range(m):
+                covariance[p, q] += moved[p] * moved[q]
 
 
 def prior_of(camera: Camera, focal_length_mm: float | None = None, lens: TsaiLens | OpenCVLens | None = None) -> Prior:
@@ -410,8 +450,10 @@ def prior_of(camera: Camera, focal_length_mm: float | None = None, lens: TsaiLen
     picture's width about its middle; sx 1 %; a lens that bends the picture's edge by a third. An unknown lens is of the
     kind of `lens`: Tsai's kappa1, or OpenCV's k1 and k2, each of which may bend the edge so much.
     """
+    if camera.complete and not camera.parameters:
+        return NO_PRIOR
     w = camera.image_size_px[0]
-    mean, free = _parameter_vector(camera), {}
+    mean, free = _parameter_vector(camera).copy(), {}
     known = dict(zip(camera.parameters, range(len(camera.parameters)), strict=True))
     if camera.focal_length_mm is None:
         mean[0] = focal_length_mm or mean[0]
@@ -437,8 +479,9 @@ def prior_of(camera: Camera, focal_length_mm: float | None = None, lens: TsaiLen
     return Prior(names, np.array([mean[PARAMETERS.index(n)] for n in names]), covariance)
 
 
+@lru_cache(maxsize=64)
 def _parameter_vector(camera: Camera) -> NDArray[np.float64]:
-    """The camera's PARAMETERS, (10,), unknown ones at their neutral start."""
+    """The camera's PARAMETERS, (10,), not to be written to; unknown ones at their neutral start."""
     f = camera.focal_length_mm or 1.5 * camera.image_size_px[0] * camera.pixel_pitch_mm[0]
     lens = camera.lens.coefficients if isinstance(camera.lens, OpenCVLens) else (0.0,) * 5
     kappa1 = camera.lens.kappa1_per_mm2 if isinstance(camera.lens, TsaiLens) else 0.0

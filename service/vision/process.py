@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 
 from service.vision.camera import Camera, TsaiLens
-from service.vision.compiled import median_of, packed
+from service.vision.compiled import packed
 from service.vision.estimates import estimates
 from service.vision.fields import Interlace, Scan, fields_agree
 from service.vision.keyframes import Keyframe
@@ -193,12 +193,12 @@ class Measurer:
 
 def doubts(seen: Seen, refined: Refined, pose: Pose, lattice: Lattice, stale: bool) -> tuple[Doubt, ...]:
     """What a locked pose is unsure of; `stale`: whether pictures have contradicted the calibration."""
-    radius = lattice.rim_radius_mm * median_of(np.hypot(refined.place[:, 0, 0], refined.place[:, 0, 1]))
+    radius = lattice.rim_radius_mm * refined.scale
     found = {
         Doubt.INDEX: seen.index_in_doubt,
         Doubt.SCALE: pose.sigma.distance_mm > UNSURE_SCALE * pose.distance_mm,
         Doubt.FOCUS: refined.common.profile.width_px > max(BLURRED * radius, BLURRED_PX),
-        Doubt.LIGHT: refined.used.mean() < DIM_SHARE,
+        Doubt.LIGHT: refined.share < DIM_SHARE,
         Doubt.CALIBRATION: stale or refined.fit.scatter_factor > STALE,
     }
     return tuple(doubt for doubt, there in found.items() if there)

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.camera import TSAI
-from service.vision.compiled import compiled
+from service.vision.compiled import compiled, median_in_place
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["distort_jacobian", "distort_point", "project", "project_point", "undistort", "undistort_point"]
+__all__ = [
+    "distort_jacobian", "distort_point", "project", "project_point", "scale_of", "undistort", "undistort_point",
+]  # fmt: skip
 
 NEWTON_STEP = 1e-7
 """Relative step after which a root stands: each step squares the error."""
@@ -130,3 +132,13 @@ def undistort(v: Array, points_px: Array) -> Array:
     for i in range(points_px.shape[0]):
         out[i, 0], out[i, 1] = undistort_point(v, (points_px[i, 0] - v[2]) / v[0], (points_px[i, 1] - v[3]) / v[1])
     return out
+
+
+@compiled
+def scale_of(place: Array) -> float:
+    """Scale of a picture, px per mm, in the middle of all places, whose derivatives are (n, 2, 3), n >= 1."""
+    n = place.shape[0]
+    scale = np.empty(n)
+    for i in range(n):
+        scale[i] = math.sqrt(place[i, 0, 0] * place[i, 0, 0] + place[i, 0, 1] * place[i, 0, 1])
+    return median_in_place(scale, n)

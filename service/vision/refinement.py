@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.compiled import median_of
+from service.vision.compiled import compiled, median_in_place
 from service.vision.edges import EdgeProfile, start_profile
 from service.vision.pose import Fit, fit_pose, linearise
+from service.vision.projection import scale_of
 from service.vision.rims import Rims, accepted, measure_rims
 from service.vision.sites import Sites, sites_in_picture
 from service.vision.states import tube_states
@@ -61,6 +62,8 @@ class Refined:
         The solution.
     predicted_px, place
         (n, 2) and (n, 2, 3): projection under `fit`, and its derivative by the tube's own place, px per mm.
+    scale
+        Px per mm in the middle of the places.
     common
         How edges look here, what the light may shift in common, what is smooth in the residuals.
     state
@@ -78,10 +81,21 @@ class Refined:
     fit: Fit
     predicted_px: NDArray[np.float64]
     place: NDArray[np.float64]
+    scale: float
     common: Common
     state: NDArray[np.uint8]
     shape: tuple[int, ...]
     parity: int | None
+
+    @property
+    def shown(self) -> int:
+        """How many tubes are used."""
+        return int(np.count_nonzero(self.used))
+
+    @property
+    def share(self) -> float:
+        """Part of the places that shows a tube which is used."""
+        return self.shown / len(self.used)
 
     def shifted(self, row: int, column: int, lattice: Lattice) -> Refined:
         """The same with every place's index grown by (row, column)."""
@@ -96,9 +110,18 @@ def _likely_centers(rims: Rims) -> Array:
     return rims.center_px - rims.looked.overshot * rims.shift_px
 
 
-def _moved_px(rims: Rims, used: NDArray[np.bool_]) -> float:
-    """How far the tubes lie off, in the middle of them all."""
-    return max(abs(median_of(rims.shift_px[used, 0])), abs(median_of(rims.shift_px[used, 1])))
+@compiled
+def _moved_px(shift: Array, used: NDArray[np.bool_]) -> float:
+    """How far the used tubes, at least one, lie off, in the middle of them all."""
+    off, moved = np.empty(shift.shape[0]), 0.0
+    for k in range(2):
+        n = 0
+        for i in range(shift.shape[0]):
+            if used[i]:
+                off[n] = shift[i, k]
+                n += 1
+        moved = max(moved, abs(median_in_place(off, n)))
+    return moved
 
 
 def refine(
@@ -151,7 +174,7 @@ def refine(
             continue
         sites, rims, used = looked
         as_before = before is not None and not afresh
-        moved, settled = _moved_px(rims, used), SETTLED if before is None else STILL_SETTLED
+        moved, settled = _moved_px(rims.shift_px, used), SETTLED if before is None else STILL_SETTLED
         narrow = profile if as_before else _narrowed(rims.profile(), profile, moved)
         steady = moved < settled * profile.width_px and narrow.width_px > STEADY_WIDTH * profile.width_px
         near = moved < STILL_SETTLED * profile.width_px and narrow.width_px > NEAR_WIDTH * profile.width_px
@@ -185,7 +208,7 @@ def _look(
         sites = sites.take(np.linspace(0, len(sites) - 1, few).astype(np.int64))
     rims = measure_rims(image, vector, rotation, translation_mm, sites.sheet_mm, lattice, profile)
     used = accepted(rims, profile.width_px)
-    return None if used.sum() < LEAST_TUBES else (sites, rims, used)
+    return None if np.count_nonzero(used) < LEAST_TUBES else (sites, rims, used)
 
 
 def _solved(
@@ -194,25 +217,30 @@ def _solved(
     parity: int | None,
 ) -> Refined:  # fmt: skip
     """The last solution, with what no residual shows of light and lens in its covariance."""
+    which = np.flatnonzero(used)
     _, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
-    bias = edge_bias(rims.covariance_px[used], place[used], profile.width_px)
-    lit, covariance = lit_walls(rims.gain, rims.bore, rims.covariance_px, place, profile.width_px)
+    scale = scale_of(place)
+    bias = edge_bias(rims.covariance_px[which], scale, profile.width_px)
+    lit, covariance = lit_walls(rims.gain, rims.bore, rims.covariance_px, place, scale, profile.width_px)
     rims = replace(rims, covariance_px=covariance)
     fit = fit_pose(
-        sites.sheet_mm[used], rims.center_px[used], rims.covariance_px[used], camera, rotation, translation_mm, lattice,
+        sites.sheet_mm[which], rims.center_px[which], covariance[which], camera, rotation, translation_mm, lattice,
         prior,
     )  # fmt: skip
     predicted, place = projected(fit.camera, fit.rotation, fit.translation_mm, sites.sheet_mm)
-    misfit = smooth_misfit(fit, predicted[used], shape, profile.width_px) if before is None or afresh else before.misfit
-    light = fit.response(rims.light_px[used] * math.sqrt(bias.covariance[3, 3]))
-    walls = fit.response(lit[used])
-    fit = replace(fit, covariance=fit.covariance + np.outer(light, light) + np.outer(walls, walls) + misfit.covariance)
+    if before is None or afresh:
+        misfit = smooth_misfit(fit, predicted[which], shape, profile.width_px)
+    else:
+        misfit = before.misfit
+    unseen = np.empty((2, len(which), 2))
+    unseen[0], unseen[1] = math.sqrt(bias.covariance[3, 3]) * rims.light_px[which], lit[which]
+    fit = fit.widened(unseen, misfit.covariance)
     agreeing = used.copy()
-    agreeing[np.flatnonzero(used)[fit.weight <= 0]] = False
+    agreeing[which[fit.weight <= 0.0]] = False
     return Refined(
-        sites=sites, rims=rims, measured=used, used=agreeing, fit=fit, predicted_px=predicted,
-        place=place,
-        common=Common(profile, bias, misfit), state=tube_states(sites, rims, agreeing), shape=shape, parity=parity,
+        sites=sites, rims=rims, measured=used, used=agreeing, fit=fit, predicted_px=predicted, place=place,
+        scale=scale, common=Common(profile, bias, misfit), state=tube_states(sites, rims, agreeing), shape=shape,
+        parity=parity,
     )  # fmt: skip
 
 

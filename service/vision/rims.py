@@ -205,11 +205,15 @@ def _placed(
     return center, shift, covariance
 
 
+@compiled
 def px_per_mm(vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array) -> float:
     """Scale in the middle of the places, px per mm."""
-    middle = sheet_mm.mean(axis=0)
-    depth = rotation[2, 0] * middle[0] + rotation[2, 1] * middle[1] + translation_mm[2]
-    return math.sqrt(vector[0] * vector[1]) / max(float(depth), 1e-6)
+    x, y = 0.0, 0.0
+    for i in range(sheet_mm.shape[0]):
+        x += sheet_mm[i, 0]
+        y += sheet_mm[i, 1]
+    depth = (rotation[2, 0] * x + rotation[2, 1] * y) / sheet_mm.shape[0] + translation_mm[2]
+    return float(math.sqrt(vector[0] * vector[1]) / max(depth, 1e-6))
 
 
 def accepted(rims: Rims, width_px: float, usual_radius_px: float | None = None) -> NDArray[np.bool_]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -77,7 +78,15 @@ class Shapes:
 
 
 def shapes_of(profile: EdgeProfile, wall_px: float) -> tuple[NDArray[np.float32], Shapes]:
-    """What samples are multiplied with, (BASIS + 1, SAMPLES), the last row for their squares; and in what terms."""
+    """What samples are multiplied with, (BASIS + 1, SAMPLES), the last row for their squares; and in what terms.
+
+    The wall's thickness counts in tenths of a px: a camera that hardly moves needs no others from picture to picture.
+    """
+    return _shapes_of(profile, round(wall_px, 1))
+
+
+@lru_cache(maxsize=16)
+def _shapes_of(profile: EdgeProfile, wall_px: float) -> tuple[NDArray[np.float32], Shapes]:
     means = np.array([np.inf, HEIGHT, BEYOND, SEAM, RADIUS_SIGMA * profile.width_px])
     functionals, terms = _in_own_terms(profile.template, profile.width_px, profile.position_px, wall_px, means**-2.0)
     return functionals, Shapes(*terms)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.compiled import compiled, median_of
+from service.vision.compiled import compiled, median_in_place
 from service.vision.measurement import TubeState
 
 if TYPE_CHECKING:
@@ -35,21 +35,24 @@ RELIEF = 0.25
 
 def tube_states(sites: Sites, rims: Rims, used: NDArray[np.bool_]) -> NDArray[np.uint8]:
     """State of each place, (n,) uint8 of `TubeState`; UNKNOWN where it is too dark or covered to tell."""
-    state = np.where(used, OPEN, UNKNOWN)
-    if used.any():
-        faint = FAINT * median_of(rims.gain[used])
-        _tell(
-            sites.row, sites.column, used, rims.rays, rims.gain, rims.bore, rims.outside, rims.mean, faint, state
-        )  # fmt: skip
+    state = np.empty(len(used), np.uint8)
+    _tell(sites.row, sites.column, used, rims.rays, rims.gain, rims.bore, rims.outside, rims.mean, state)
     return state
 
 
 @compiled
 def _tell(
     row: NDArray[np.int64], column: NDArray[np.int64], used: NDArray[np.bool_], rays: Array, gain: Array, bore: Array,
-    outside: Array, mean: Array, faint: float, state: NDArray[np.uint8],
+    outside: Array, mean: Array, state: NDArray[np.uint8],
 ) -> None:  # fmt: skip
-    """States of the places that were not used, or whose edge is faint, beside the open tubes nearby."""
+    """Used places are open; those that are not used, or whose edge is faint, are held beside the open tubes nearby."""
+    height_of, n = np.empty(row.shape[0]), 0
+    for i in range(row.shape[0]):
+        state[i] = OPEN if used[i] else UNKNOWN
+        if used[i]:
+            height_of[n] = gain[i]
+            n += 1
+    faint = FAINT * median_in_place(height_of, n) if n else 0.0
     for i in range(row.shape[0]):
         if rays[i] <= 0.0 or (used[i] and gain[i] >= faint):
             continue

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
-from service.vision.compiled import compiled, median_of
+from service.vision.compiled import compiled, median_in_place
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -17,7 +18,12 @@ if TYPE_CHECKING:
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["Common", "EdgeBias", "Misfit", "edge_bias", "lit_walls", "smooth_misfit"]
+__all__ = [
+    "Common", "EdgeBias", "Misfit", "bias_variance", "edge_bias", "lit_walls", "misfit_variance", "smooth_misfit",
+]  # fmt: skip
+
+DEPTH = 2
+"""Which of the edges' common parts it is: behind shifts x and y, before the light."""
 
 BIAS_FLOOR, BIAS_NOISE = np.array([0.003, 0.003, 0.02, 0.3]), np.array([0.05, 0.05, 0.5, 0.0])
 """One sigma of what shifts all edges in common, measured on truth: x, y and depth in mm, light in `Rims.light_px`, at
@@ -49,23 +55,36 @@ class EdgeBias:
 
     covariance: NDArray[np.float64]
 
-    def variance_px2(self, place: Array) -> Array:
-        """What shift and depth do at each place, (n,) px^2 per axis; the light is in the pose's."""
-        c, x, y = self.covariance, place[:, 0, 2], place[:, 1, 2]
-        depth = x * (c[2, 2] * x + 2 * c[0, 2]) + y * (c[2, 2] * y + 2 * c[1, 2])
-        return np.asarray((c[0, 0] + c[1, 1] + depth) / 2)
+
+def edge_bias(covariance_px: Array, scale: float, width_px: float) -> EdgeBias:
+    """What is declared of edges that wide, whose centres have these covariances, (n, 3) px^2; `scale` in px per mm."""
+    covariance = np.zeros((4, 4))
+    _edge_bias(covariance_px, scale, width_px, covariance)
+    return EdgeBias(covariance)
 
 
-def edge_bias(covariance_px: Array, place: Array, width_px: float) -> EdgeBias:
-    """What is declared of edges that wide, whose centres have these covariances, (n, 3) px^2, at these places."""
-    scale = median_of(np.hypot(place[:, 0, 0], place[:, 0, 1]))
-    noise_mm = median_of(np.sqrt((covariance_px[:, 0] + covariance_px[:, 2]) / 2)) / scale
-    sigma = (BIAS_FLOOR + BIAS_NOISE * noise_mm) * np.array([scale, scale, 1.0, 1.0])
-    sigma[2] += BIAS_BLUR * width_px / scale
-    return EdgeBias(np.diag(sigma**2))
+@compiled
+def _edge_bias(noise: Array, scale: float, width: float, covariance: Array) -> None:
+    sigma = np.empty(noise.shape[0])
+    for i in range(noise.shape[0]):
+        sigma[i] = math.sqrt(0.5 * (noise[i, 0] + noise[i, 2])) / scale
+    noise_mm = median_in_place(sigma, noise.shape[0])
+    for k in range(4):
+        of_one = BIAS_FLOOR[k] + BIAS_NOISE[k] * noise_mm + (BIAS_BLUR * width / scale if k == DEPTH else 0.0)
+        covariance[k, k] = (of_one * (scale if k < DEPTH else 1.0)) ** 2
 
 
-def lit_walls(gain: Array, bore: Array, covariance_px: Array, place: Array, width_px: float) -> tuple[Array, Array]:
+@compiled
+def bias_variance(covariance: Array, x: float, y: float) -> float:
+    """What shift and depth do to a place of which depth moves (x, y) px per mm, px^2 per axis; light is the pose's."""
+    c = covariance
+    depth = x * (c[2, 2] * x + 2.0 * c[0, 2]) + y * (c[2, 2] * y + 2.0 * c[1, 2])
+    return float(0.5 * (c[0, 0] + c[1, 1] + depth))
+
+
+def lit_walls(
+    gain: Array, bore: Array, covariance_px: Array, place: Array, scale: float, width_px: float
+) -> tuple[Array, Array]:
     """What the bores' lit walls may do: a field of shifts, (n, 2) px, of one sigma, and covariances that hold it.
 
     Seen aslant, a bore shows its wall on the far side only, where the tube end's light passes into the wall's without a
@@ -78,10 +97,9 @@ def lit_walls(gain: Array, bore: Array, covariance_px: Array, place: Array, widt
         (n,), (n,) and (n, 3) as in `rims.Rims`.
     place
         (n, 2, 3) px per mm of the rims' places.
-    width_px
-        The edges' width.
+    scale, width_px
+        Px per mm in the middle of them; the edges' width.
     """
-    scale = median_of(np.hypot(place[:, 0, 0], place[:, 0, 1]))
     field, covariance = np.empty((len(place), 2)), np.empty((len(place), 3))
     _lit_walls(gain, bore, covariance_px, place, LIT_WALL * width_px / scale, field, covariance)
     return field, covariance
@@ -114,11 +132,12 @@ class Misfit:
     sigma_px: float
     covariance: NDArray[np.float64]
 
-    def variance_px2(self, center_px: Array, shape: tuple[int, ...]) -> Array:
-        """What the fields do to centres, (n, 2), of a picture of that shape: (n,) per axis."""
-        h, w = shape[:2]
-        x2, y2 = (center_px[:, 0] / (0.5 * w) - 1.0) ** 2, (center_px[:, 1] / (0.5 * h) - 1.0) ** 2
-        return np.asarray(self.sigma_px**2 * (1.0 + x2 + y2 + x2 * x2 + x2 * y2 + y2 * y2))  # the fields' squares
+
+@compiled
+def misfit_variance(sigma: float, x: float, y: float, width: int, height: int) -> float:
+    """What smooth fields of that sigma do to a centre in a picture of that size, px^2 per axis."""
+    x2, y2 = (x / (0.5 * width) - 1.0) ** 2, (y / (0.5 * height) - 1.0) ** 2
+    return sigma * sigma * (1.0 + x2 + y2 + x2 * x2 + x2 * y2 + y2 * y2)  # the fields' squares
 
 
 def smooth_misfit(fit: Fit, center_px: Array, shape: tuple[int, ...], width_px: float) -> Misfit:

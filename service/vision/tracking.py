@@ -256,9 +256,9 @@ class Tracker:
 
     def _holds(self, refined: Refined | None) -> bool:
         """Whether a tracked pose shows enough of its tubes, where the last one did."""
-        if refined is None or refined.used.sum() < LEAST_TUBES:
+        if refined is None or refined.shown < LEAST_TUBES:
             return False
-        return bool(refined.used.mean() >= KEPT_SHARE * self._share) and refined.fit.scatter_factor < MOST_STRAY
+        return refined.share >= KEPT_SHARE * self._share and refined.fit.scatter_factor < MOST_STRAY
 
     def _acquire(self, image: Image, known: Camera, parity: int | None, time_ns: int, watch: Stopwatch) -> Seen:
         """Find the sheet with nothing to go by, indexed as before where it was known before."""
@@ -281,7 +281,7 @@ class Tracker:
                 watch.lap("lattice")
                 if proof.reason is not None:
                     reason = proof.reason
-                elif best is None or refined.used.sum() > best[0].used.sum():
+                elif best is None or refined.shown > best[0].shown:
                     best, proven_px = (refined, proof), candidate.radius_px
             if tried >= TRIES or (best is not None and best[1].share > CERTAIN_SHARE):
                 break
@@ -310,8 +310,7 @@ class Tracker:
             self.motion = Motion.standing(fit.rotation, fit.translation_mm, time_ns, anchor)
         else:
             self.motion = self.motion.moved_to(fit.rotation, fit.translation_mm, time_ns, anchor)
-        share = float(refined.used.mean())
-        self._share += (SMOOTH if self._share else 1.0) * (share - self._share)
+        self._share += (SMOOTH if self._share else 1.0) * (refined.share - self._share)
         self._common = refined.common
         clear = np.flatnonzero(refined.used)
         if len(clear) > 2 * GUIDES:

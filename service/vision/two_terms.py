@@ -67,4 +67,4 @@ def with_two_terms(
     )  # fmt: skip
     if other is None or other.fit.sigma("focal_length_mm") > CERTAIN * (other.fit.camera.focal_length_mm or 1.0):
         return refined  # OpenCV's terms are in focal lengths
-    return other if other.used.sum() > MORE * refined.used.sum() else refined
+    return other if other.shown > MORE * refined.shown else refined

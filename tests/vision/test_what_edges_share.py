@@ -53,18 +53,18 @@ def test_sixteen_bits_are_straightened_as_eight_are():
 def test_what_lit_walls_may_do_grows_with_their_light_and_with_blur_but_not_beyond_reason():
     place, before = np.tile([[1.5, 0.0, 0.3], [0.0, 1.5, 0.0]], (4, 1, 1)), np.tile([0.01, 0.0, 0.02], (4, 1))
     gain, bore = np.array([80.0, 80.0, 80.0, 1.0]), np.array([0.0, 20.0, 40.0, 200.0])
-    field, covariance = lit_walls(gain, bore, before, place, 0.8)
+    field, covariance = lit_walls(gain, bore, before, place, 1.5, 0.8)
     assert (field[:, 1] == 0.0).all()
     assert field[0, 0] == 0.0
     assert field[2, 0] == pytest.approx(2 * field[1, 0])
     assert field[3, 0] < 10 * field[1, 0]
-    assert lit_walls(gain, bore, before, place, 1.6)[0] == pytest.approx(2 * field)
+    assert lit_walls(gain, bore, before, place, 1.5, 1.6)[0] == pytest.approx(2 * field)
     assert covariance - before == pytest.approx(np.column_stack([field[:, 0] ** 2, 0 * gain, 0 * gain]))
 
 
 def test_blur_makes_depth_less_certain_and_places_not():
-    place, covariance = np.tile([[1.5, 0.0, 0.3], [0.0, 1.5, 0.0]], (4, 1, 1)), np.tile([0.01, 0.0, 0.01], (4, 1))
-    sharp, blurred = (np.diag(edge_bias(covariance, place, width).covariance) for width in (0.6, 3.0))
+    covariance = np.tile([0.01, 0.0, 0.01], (4, 1))
+    sharp, blurred = (np.diag(edge_bias(covariance, 1.5, width).covariance) for width in (0.6, 3.0))
     assert blurred[2] > 2 * sharp[2]
     assert blurred[:2] == pytest.approx(sharp[:2])
 
