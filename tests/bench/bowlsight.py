@@ -17,16 +17,20 @@ class Tracked:
         self._measurer = Measurer(take.camera, take.lattice, time.perf_counter_ns)
 
     def __call__(self, number: int) -> Measurement:
+        return self.measure(self._take.pictures[number])
+
+    def measure(self, pixels: np.ndarray) -> Measurement:
+        """The next picture's answer."""
         self._count += 1
-        return self._measurer.measure(self._take.pictures[number], self._count * self._take.period_ns, self._field)[0]
+        return self._measurer.measure(pixels, self._count * self._take.period_ns, self._field)[0]
 
 
 class Acquired(Tracked):
     """Measures each picture as if there had been none before."""
 
-    def __call__(self, number: int) -> Measurement:
+    def measure(self, pixels: np.ndarray) -> Measurement:
         self._measurer.reset()
-        return super().__call__(number)
+        return super().measure(pixels)
 
 
 def measured_px(m: Measurement) -> np.ndarray:

@@ -1,5 +1,6 @@
 """Bowlsight by itself: cost per stage, growth with tubes and pixels, what radiation specks cost in accuracy."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -13,20 +14,33 @@ from tests.bench.tables import table
 from tests.bench.timing import Times, interleaved
 
 VGA, HD = (640, 480), (1920, 1080)
+BUFFERS = 4
 LIT = replace(NOMINAL, wall=0.05)
 """Bores lit so little that their walls do not hide what specks cost."""
 
 
 def _timed(takes: dict[str, Take], kind: type[Tracked], *, quick: bool) -> dict[str, Times]:
-    """Times of every take, in turns; each goes its own way there and back."""
-    ways = {name: take.there_and_back() for name, take in takes.items()}
-    calls = {name: _following(kind(take), ways[name]) for name, take in takes.items()}
+    """Times of every take, in turns; each goes its own way there and back, as a grabber hands it on."""
+    grabbers = {name: Grabber(take) for name, take in takes.items()}
+    calls = {name: kind(take).measure for name, take in takes.items()}
     rounds = 4 if quick else 300 if kind is Tracked else 60
-    return interleaved(calls, range(10**6), rounds=rounds, budget_s=30.0, skip=2 if quick else 20)
+    return interleaved(
+        calls, range(10**6), rounds=rounds, budget_s=30.0, skip=2 if quick else 20,
+        handed=lambda name, _: grabbers[name].grab(),
+    )  # fmt: skip
 
 
-def _following(call: Tracked, way):
-    return lambda _: call(next(way))
+class Grabber:
+    """Hands on the pictures of a take as grabbers do: each has just been written into one of a few buffers."""
+
+    def __init__(self, take: Take) -> None:
+        self._pictures, self._way = take.pictures, take.there_and_back()
+        self._buffers = itertools.cycle([np.empty_like(take.pictures[0]) for _ in range(BUFFERS)])
+
+    def grab(self) -> np.ndarray:
+        buffer = next(self._buffers)
+        np.copyto(buffer, self._pictures[next(self._way)])
+        return buffer
 
 
 def stages(*, quick: bool) -> str:

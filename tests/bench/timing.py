@@ -26,8 +26,9 @@ class Times:
 
 
 def interleaved(
-    calls: dict[str, Callable[[int], Any]], numbers: Iterable[int], *, rounds: int, budget_s: float, skip: int = 2
-) -> dict[str, Times]:
+    calls: dict[str, Callable[[Any], Any]], numbers: Iterable[int], *, rounds: int, budget_s: float, skip: int = 2,
+    handed: Callable[[str, int], Any] | None = None,
+) -> dict[str, Times]:  # fmt: skip
     """Let each call have its turn, round by round, until its time is used up.
 
     Parameters
@@ -38,6 +39,8 @@ def interleaved(
         Of the pictures, one a round.
     skip
         First calls of each that count for nothing.
+    handed
+        What a call is handed in place of a picture's number; the time that this takes is not the call's.
     """
     times = {name: Times() for name in calls}
     spent = dict.fromkeys(calls, 0.0)
@@ -45,8 +48,9 @@ def interleaved(
         for name, call in calls.items():
             if spent[name] > budget_s and turn > skip + 1:
                 continue
+            given = number if handed is None else handed(name, number)
             began = time.perf_counter_ns()
-            result = call(number)
+            result = call(given)
             took = time.perf_counter_ns() - began
             spent[name] += took / 1e9
             if turn >= skip:
