@@ -14,7 +14,7 @@ import numpy as np
 from service.vision.compiled import compiled, median_in_place
 from service.vision.edges import SAMPLES, start_profile
 from service.vision.pose import MEDIAN_OF_TWO, TUKEY, damped_step, linearise, turned
-from service.vision.rays import NUMBERS, circle_of, sample, straightening
+from service.vision.rays import NUMBERS, circle_of, pairs_of, sample, straightening
 from service.vision.rim_levels import COVERED, FIGURES, RADIUS, SHIFT, STRENGTH, levels
 from service.vision.rim_search import REACH, find
 from service.vision.rims import accepted_rims, px_per_mm
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     Array: TypeAlias = NDArray[np.float64]
     Single: TypeAlias = NDArray[np.float32]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+    Pairs: TypeAlias = NDArray[np.uint16] | NDArray[np.uint32]
 
 __all__ = ["approach"]
 
@@ -76,9 +77,9 @@ def approach(
         functionals, shapes = shapes_of(look, wall_px)
         turn, shift = np.empty((3, 3)), np.empty(3)
         seen, moved_px = _step(
-            image, straightening(image) if look.learnt else 0.0, vector, rotation, translation_mm, guides_mm,
-            lattice.rim_radius_mm, circle_of(RAYS), look.offsets_px, functionals, shapes.first, shapes.edge,
-            shapes.moved, look.width_px, look.overshot, turn, shift,
+            pairs_of(image), image.shape, straightening(image) if look.learnt else 0.0, vector, rotation,
+            translation_mm, guides_mm, lattice.rim_radius_mm, circle_of(RAYS), look.offsets_px, functionals,
+            shapes.first, shapes.edge, shapes.moved, look.width_px, look.overshot, turn, shift,
         )  # fmt: skip
         if seen < least:
             broad_px *= 1.0 if look is profile else BROAD
@@ -93,9 +94,9 @@ def approach(
 
 @compiled
 def _step(
-    image: Image, bend: float, v: Array, R: Array, t: Array, guides: Array, radius_mm: float, circle: Array,
-    offsets: Array, functionals: Single, first: Array, edge: Array, moved: Array, width: float, overshot: float,
-    turn: Array, translation: Array,
+    pairs: Pairs, shape: tuple[int, int], bend: float, v: Array, R: Array, t: Array, guides: Array, radius_mm: float,
+    circle: Array, offsets: Array, functionals: Single, first: Array, edge: Array, moved: Array, width: float,
+    overshot: float, turn: Array, translation: Array,
 ) -> tuple[int, float]:  # fmt: skip
     """One step, into `turn` and `translation`; gives how many tubes told it, and how far off they lay."""
     n, count = guides.shape[0], circle.shape[1]
@@ -103,8 +104,8 @@ def _step(
     valid, center, mean = np.empty((count, n), np.float32), np.empty((n, 2)), np.empty((n, SAMPLES))
     told, level = np.zeros((FIGURES, n)), np.empty(n)
     sample(
-        image, bend, v, R, t, guides, radius_mm, circle, offsets, functionals, numbers, direction, valid, center, mean,
-        level,
+        pairs, shape, bend, v, R, t, guides, radius_mm, circle, offsets, functionals, numbers, direction, valid, center,
+        mean, level,
     )  # fmt: skip
     levels(numbers, valid, first, edge, told)
     find(numbers, direction, valid, first, edge, moved, REACH * width, told)

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
     Array: TypeAlias = NDArray[np.float64]
     Single: TypeAlias = NDArray[np.float32]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
+    Pairs: TypeAlias = NDArray[np.uint16] | NDArray[np.uint32]
+    Bits: TypeAlias = NDArray[np.uint32]
 
 __all__ = [
     "BASIS",
@@ -37,6 +39,7 @@ __all__ = [
     "OUTSIDE",
     "Rays",
     "circle_of",
+    "pairs_of",
     "rays_for",
     "sample",
     "sample_rays",
@@ -106,6 +109,14 @@ def straightening(image: Image) -> float:
     return STRAIGHTENED / float(np.iinfo(image.dtype).max)
 
 
+def pairs_of(image: Image) -> Pairs:
+    """Each pixel with its right neighbour in the higher bits, (h w - 1,), of a packed picture: half as many to load."""
+    wide = {np.dtype(np.uint8): np.uint16, np.dtype(np.uint16): np.uint32}[image.dtype]
+    pairs: Pairs = np.ndarray((image.size - 1,), wide, image, strides=(image.itemsize,))
+    pairs.flags.writeable = False
+    return pairs
+
+
 def sample_rays(
     image: Image, vector: Array, rotation: Array, translation_mm: Array, sheet_mm: Array, radius_mm: float,
     profile: EdgeProfile, bend: float, functionals: NDArray[np.float32], count: int, scratch: Scratch,
@@ -138,7 +149,7 @@ def sample_rays(
         level=np.empty(n),
     )  # fmt: skip
     sample(
-        image, bend, vector, rotation, translation_mm, sheet_mm, radius_mm, circle_of(count),
+        pairs_of(image), image.shape, bend, vector, rotation, translation_mm, sheet_mm, radius_mm, circle_of(count),
         profile.offsets_px, functionals, rays.numbers, rays.direction, rays.valid, rays.center_px, rays.mean,
         rays.level,
     )  # fmt: skip
@@ -147,15 +158,15 @@ def sample_rays(
 
 @compiled
 def sample(
-    image: Image, bend: float, v: Array, R: Array, t: Array, sheet_mm: Array, radius_mm: float, circle: Array,
-    offsets: Array, functionals: Single, numbers: Single, direction: Single, valid: Single, center: Array, mean: Array,
-    level: Array,
+    pairs: Pairs, shape: tuple[int, int], bend: float, v: Array, R: Array, t: Array, sheet_mm: Array, radius_mm: float,
+    circle: Array, offsets: Array, functionals: Single, numbers: Single, direction: Single, valid: Single,
+    center: Array, mean: Array, level: Array,
 ) -> None:  # fmt: skip
-    """Fill in what `Rays` holds."""
+    """Fill in what `Rays` holds; `pairs` are `pairs_of` a picture of that shape."""
     count = circle.shape[1]
     aspect = v[0] / v[1]
     wave, ray, inside = np.empty((2, 5)), np.empty((4, count), np.float32), np.empty(count, np.float32)
-    place, work = np.empty(SAMPLES * count, np.uint32), np.empty((6, SAMPLES * count), np.float32)
+    bits, work = np.empty((3, SAMPLES * count), np.uint32), np.empty((2, SAMPLES * count), np.float32)
     grey, told = np.empty(SAMPLES * count, np.float32), np.empty((NUMBERS, count), np.float32)
     u = offsets.astype(np.float32)
     for i in range(sheet_mm.shape[0]):
@@ -164,7 +175,7 @@ def sample(
         seen = 0
         if not math.isnan(center[i, 0]) and sense != 0.0:
             _directions(wave, circle, sense, aspect, ray)
-            seen = _inside(image.shape[1], image.shape[0], ray, u, inside)
+            seen = _inside(shape[1], shape[0], ray, u, inside)
         level[i] = 0.0
         if seen == 0:
             for k in range(count):
@@ -173,7 +184,7 @@ def sample(
                     numbers[p, k, i] = 0.0
             mean[i] = 0.0
             continue
-        base = _along(image, bend, ray, u, place, work, grey)
+        base = _along(pairs, shape[1], bend, ray, u, bits, work, grey)
         _condense(grey, functionals, told)
         for k in range(count):
             valid[k, i], direction[0, k, i], direction[1, k, i] = inside[k], ray[2, k], aspect * ray[3, k]
@@ -240,33 +251,36 @@ def _inside(width: int, height: int, ray: Single, u: Single, inside: Single) -> 
 
 @compiled
 def _along(
-    image: Image, bend: float, ray: Single, u: Single, place: NDArray[np.uint32], work: Single, grey: Single
+    pairs: Pairs, width: int, bend: float, ray: Single, u: Single, bits: Bits, work: Single, grey: Single
 ) -> float:
     """Bilinear, straightened grey values along the rays, above the grey that is given: that of one of them.
 
     In loops of one kind of work each, for processors that do such work many at a time.
     """
-    width, count, bent = np.uint32(image.shape[1]), ray.shape[1], np.float32(bend)
-    flat = image.reshape(-1)
-    fx, fy, p, q, r, s = work[0], work[1], work[2], work[3], work[4], work[5]
+    row, count, bent = np.uint32(width), ray.shape[1], np.float32(bend)
+    place, upper, lower, fx, fy = bits[0], bits[1], bits[2], work[0], work[1]
     for j in range(SAMPLES):
         for k in range(count):
             x, y = ray[0, k] + u[j] * ray[2, k], ray[1, k] + u[j] * ray[3, k]
             ix, iy = np.int32(x), np.int32(y)
             fx[j * count + k], fy[j * count + k] = x - np.float32(ix), y - np.float32(iy)
-            place[j * count + k] = np.uint32(iy) * width + np.uint32(ix)
+            place[j * count + k] = np.uint32(iy) * row + np.uint32(ix)
     for m in range(SAMPLES * count):
         at = place[m]
-        below = at + width
-        p[m], q[m], r[m], s[m] = flat[at], flat[at + np.uint32(1)], flat[below], flat[below + np.uint32(1)]
+        upper[m], lower[m] = pairs[at], pairs[at + row]
+    depth = 4 * pairs.itemsize  # bits a pixel
+    shift, left = np.uint32(depth), np.uint32((1 << depth) - 1)
     base = np.float32(0.0)
     for k in range(count):
         if ray[2, k] != 0.0 or ray[3, k] != 0.0:
-            base = p[k] + bent * p[k] * p[k]
+            first = np.float32(np.int32(upper[k] & left))
+            base = first + bent * first * first
             break
     for m in range(SAMPLES * count):
-        top = p[m] + fx[m] * (q[m] - p[m])
-        y = top + fy[m] * (r[m] + fx[m] * (s[m] - r[m]) - top)
+        p, q = np.float32(np.int32(upper[m] & left)), np.float32(np.int32(upper[m] >> shift))
+        r, s = np.float32(np.int32(lower[m] & left)), np.float32(np.int32(lower[m] >> shift))
+        top = p + fx[m] * (q - p)
+        y = top + fy[m] * (r + fx[m] * (s - r) - top)
         grey[m] = y + bent * y * y - base
     return float(base)
 
