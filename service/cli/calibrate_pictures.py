@@ -18,13 +18,13 @@ from drivers.errors import CalibrationError, ConfigError
 from drivers.replay import ReplayGrabber
 from drivers.session_replay import SessionGrabber, is_session
 from service.acquisition.measuring import FrameMeasurer
+from service.cli.calibrating import focal_length_of, range_of
 from service.cli.inputs import field_order, fitting_camera
 from service.cli.live import prepare_kernels
 from service.cli.terminal import say
 from service.config.calibration import write_calibration
 from service.config.cameras import read_camera, write_atomically
 from service.config.generators import load_generator
-from service.vision.bundle import Range
 from service.vision.calibration_report import calibration_dict, calibration_lines
 from service.vision.collecting import Collector
 from service.vision.errors import DegenerateError
@@ -41,12 +41,9 @@ if TYPE_CHECKING:
 
 __all__ = ["run_pictures"]
 
-RANGE_SIGMA_MM = 2.0
 MOST_TURNS = 4
 """How often the pictures are measured at the most, and to what part of its sigma f must then stand still."""
 STILL = 0.5
-FOCAL_SIGMA = 0.03
-"""Of a focal length that a lens or its maker tells, as a part of it."""
 
 
 def run_pictures(args: argparse.Namespace) -> int:
@@ -80,10 +77,7 @@ def _calibrated(
     Rims are measured along their projection, and a camera that is off shifts them a little: a first answer is wrong by
     several of its sigmas, a second one by a third of that.
     """
-    known_range = None
-    if args.range_mm is not None:
-        known_range = Range(args.range_mm[0], args.range_mm[1] or RANGE_SIGMA_MM)
-    measured_with = camera
+    known_range, measured_with = range_of(args), camera
     tqdm.monitor_interval = 0  # no thread of its own
     for turn in range(MOST_TURNS):
         collector, calibration = Collector(camera, lattice), None
@@ -134,25 +128,15 @@ def _camera(args: argparse.Namespace, grabbers: Sequence[ReplayGrabber]) -> tupl
     assert camera is not None
     if given is None:
         camera = replace(camera, sx=None)
-    if args.focal_length_mm is not None:
-        focal_mm, sigma_mm = args.focal_length_mm
-        camera = _with_focal_length(camera, focal_mm, sigma_mm or FOCAL_SIGMA * focal_mm)
+    focal_length_mm = focal_length_of(args)
+    if focal_length_mm is not None:
+        camera = camera.with_focal_length(*focal_length_mm)
     if camera.complete and not np.diag(camera.covariance).any():
         raise ConfigError(
             f"{args.camera}: gives all values without a sigma, so that none is left to be found; leave some out"
         )
     known = [c for c in counts if c is not None]
     return camera, sum(known) if len(known) == len(counts) else None
-
-
-def _with_focal_length(camera: Camera, focal_mm: float, sigma_mm: float) -> Camera:
-    """The camera with another prior of its focal length, which has nothing to do with what else is known."""
-    keep = [i for i, name in enumerate(camera.parameters) if name != "focal_length_mm"]
-    covariance = np.zeros((len(keep) + 1, len(keep) + 1))
-    covariance[0, 0] = sigma_mm**2
-    covariance[1:, 1:] = camera.covariance[np.ix_(keep, keep)]
-    names = ("focal_length_mm", *(camera.parameters[i] for i in keep))
-    return replace(camera, focal_length_mm=focal_mm, parameters=names, covariance=covariance)
 
 
 def _collect(

@@ -131,7 +131,7 @@ def watch(live: LiveRun, args: argparse.Namespace) -> int:
         if recorder is not None:
             recorder.note_device(grabber)
 
-    calibrating = calibration_sink(live.camera, live.generator.lattice, args.calibrate, tell)
+    calibrating = calibration_sink(live.camera, live.generator.lattice, args, tell)
     service = LiveService(
         live.grabber,
         measurer_for,

@@ -235,6 +235,22 @@ def _calibrating(p: _Parser) -> None:
         type=Path,
         help="calibrate the camera anew while it is tilted about, and keep this camera file up to date",
     )
+    _known_beforehand(p, "when it is seen first; with --calibrate")
+
+
+def _known_beforehand(p: _Parser, when: str) -> None:
+    p.add_argument(
+        "--range-mm",
+        metavar="VALUE[±SIGMA]",
+        type=_with_sigma,
+        help=f"distance of the camera from the sheet, along its normal, {when}; ± 2 unless given",
+    )
+    p.add_argument(
+        "--focal-length-mm",
+        metavar="VALUE[±SIGMA]",
+        type=_with_sigma,
+        help="focal length, as a lens or its maker tells it, for a calibration; ± 3 %% unless given",
+    )
 
 
 # -- the commands ------------------------------------------------------------------------------------------------------
@@ -338,18 +354,7 @@ def _calibrate(p: _Parser) -> None:
         type=Path,
         help="camera file: picture size and pixel pitch, and what is known; values with a sigma are bettered",
     )
-    p.add_argument(
-        "--range-mm",
-        metavar="VALUE[±SIGMA]",
-        type=_with_sigma,
-        help="distance of the camera from the sheet, along its normal, in the first picture; ± 2 unless given",
-    )
-    p.add_argument(
-        "--focal-length-mm",
-        metavar="VALUE[±SIGMA]",
-        type=_with_sigma,
-        help="focal length, as a lens or its maker tells it; ± 3 %% unless given",
-    )
+    _known_beforehand(p, "in the first picture")
     _field_order(p)
     p.add_argument(
         "--points", metavar="FILE", type=Path, help='instead of PATH: lines of "xw yw zw Xf Yf", mm and px, for Tsai'

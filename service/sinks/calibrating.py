@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
     from drivers.frame import Frame
     from service.results import FrameResult
+    from service.vision.bundle import Range
     from service.vision.camera import Camera
     from service.vision.lattice import Lattice
     from service.vision.selfcalibration import Calibration
@@ -53,6 +54,10 @@ class CalibrationSink(QueuedSink):
         Gets what is found, in words, with INFO or WARN, from the sink's thread. Must return at once.
     now_s, utc
         Monotonic time and the day's.
+    known_range
+        Distance from the sheet when it was seen first.
+    focal_length_mm
+        Told beforehand, with its sigma.
     """
 
     def __init__(
@@ -63,10 +68,14 @@ class CalibrationSink(QueuedSink):
         tell: Callable[[str, str], None],
         now_s: Callable[[], float] = time.monotonic,
         utc: Callable[[], datetime] = lambda: datetime.now(UTC),
+        *,
+        known_range: Range | None = None,
+        focal_length_mm: tuple[float, float] | None = None,
     ) -> None:
         super().__init__("calibration", CAPACITY)
         self._camera, self._lattice, self._out, self._say = camera, lattice, out, tell
         self._now_s, self._utc = now_s, utc
+        self._range, self._focal_length_mm = known_range, focal_length_mm
         self._collector: Collector | None = None
         self._generation: int | None = None
         self._solved_with = 0
@@ -104,6 +113,8 @@ class CalibrationSink(QueuedSink):
                 return None
             _give_way()
             camera = self._camera or replace(assumed_camera(pose.camera.image_size_px), sx=None)
+            if self._focal_length_mm is not None:
+                camera = camera.with_focal_length(*self._focal_length_mm)
             self._collector = Collector(camera, self._lattice)
         if result.generation != self._generation:
             self._generation = result.generation
@@ -119,7 +130,7 @@ class CalibrationSink(QueuedSink):
         began_s = self._now_s()
         self._solved_with = len(collector.kept)
         try:
-            calibration = collector.solve().first_answer()
+            calibration = collector.solve(self._range).first_answer()
         except DegenerateError:
             return
         self._solved_s = self._now_s()

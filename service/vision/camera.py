@@ -96,6 +96,15 @@ class Camera:
         """
         return _field_of(self, parity)
 
+    def with_focal_length(self, focal_length_mm: float, sigma_mm: float) -> Camera:
+        """The camera with another prior of its focal length, which has nothing to do with what else is known."""
+        keep = [i for i, name in enumerate(self.parameters) if name != "focal_length_mm"]
+        covariance = np.zeros((len(keep) + 1, len(keep) + 1))
+        covariance[0, 0] = sigma_mm**2
+        covariance[1:, 1:] = self.covariance[np.ix_(keep, keep)]
+        names = ("focal_length_mm", *(self.parameters[i] for i in keep))
+        return replace(self, focal_length_mm=focal_length_mm, parameters=names, covariance=covariance)
+
     def of_frame(self, known: Camera, parity: int | None) -> Camera:
         """What was found of a picture's camera, in terms of the full frame whose camera is `known`; see `of_field`."""
         if self is known:

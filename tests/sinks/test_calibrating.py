@@ -11,6 +11,7 @@ from drivers.scene import NOMINAL
 from service.config.cameras import read_camera
 from service.results import FrameResult
 from service.sinks.calibrating import CAPACITY, PAUSE_S, CalibrationSink
+from service.vision.bundle import Range
 from service.vision.measurement import Lock
 from tests.fakes.drawn import frame_of
 from tests.fakes.results import make_measurement
@@ -49,10 +50,11 @@ class Clock:
         return self.now_s
 
 
-def run(answers, out, step_s=PAUSE_S, camera=None):
+def run(answers, out, step_s=PAUSE_S, camera=None, **known):
     v, frames = answers
     told = Told()
-    sink = CalibrationSink(camera, v.lattice, out, told, Clock(step_s), lambda: datetime(2026, 1, 2, tzinfo=UTC))
+    utc = datetime(2026, 1, 2, tzinfo=UTC)
+    sink = CalibrationSink(camera, v.lattice, out, told, Clock(step_s), lambda: utc, **known)
     sink.start()
     for frame, results in frames:
         sink.accept(frame, results)
@@ -77,7 +79,21 @@ def test_it_says_how_far_it_is_and_writes_the_file(answers, tmp_path):
     f = answers[0].optics.focal_length_mm
     assert abs(camera.focal_length_mm - f) < 3 * camera.sigma("focal_length_mm") < 0.03 * f
     assert 'calibrated_utc = "2026-01-02T00:00:00+00:00"' in out.read_text()
-    assert sink.progress == told[-1][0].removeprefix("calibration: ").removesuffix("; camera.toml is written")
+    assert f"from {len(TILTS)} pictures" in sink.progress  # told only where it says more than the last time
+
+
+def test_what_is_known_beforehand_makes_up_for_tilts_that_were_not_seen(answers):
+    v, frames = answers
+    few, f = (v, frames[:4]), v.optics.focal_length_mm
+    distance_mm = float(looking(*TILTS[0])[1] @ looking(*TILTS[0])[0][:, 2])
+    known = {"nothing": {}, "range": {"known_range": Range(distance_mm, 1.0)}, "f": {"focal_length_mm": (f, 0.001 * f)}}
+    sigma = {}
+    for what, told in known.items():
+        camera = run(few, None, camera=unknown_camera(v.optics), **told)[0].calibration.camera
+        sigma[what] = camera.sigma("focal_length_mm")
+        assert abs(camera.focal_length_mm - f) < 3 * sigma[what]
+    assert sigma["range"] < 0.5 * sigma["nothing"]
+    assert sigma["f"] < 0.5 * sigma["nothing"]
 
 
 def test_without_a_file_to_write_it_only_tells(answers, tmp_path):
