@@ -44,6 +44,9 @@ __all__ = ["run_pictures"]
 MOST_TURNS = 4
 """How often the pictures are measured at the most, and to what part of its sigma f must then stand still."""
 STILL = 0.5
+AT_REST = 0.05
+"""Edge widths that a pose may lie from where rims were looked for: a shift told short passes for another focal length,
+and time does not matter."""
 
 
 def run_pictures(args: argparse.Namespace) -> int:
@@ -146,7 +149,7 @@ def _collect(
     for grabber in grabbers:
         collector.begin()
         with grabber:
-            vision = Measurer(camera, collector.lattice, time.perf_counter_ns)
+            vision = Measurer(camera, collector.lattice, time.perf_counter_ns, at_rest=AT_REST)
             measurer = FrameMeasurer(vision, field_order(order).field, grabber.clock)
             grabber.start()
             for frame in grabber:

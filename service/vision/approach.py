@@ -42,7 +42,7 @@ ROUNDS = 4
 """How often they are looked at, at the most."""
 NEAR, BROAD = 1.3, 2.0
 """Edge widths off that a learnt profile reaches, and widths of the edge that is looked for beyond that."""
-WELL_WITHIN = 0.75
+WELL_WITHIN = 0.6
 """Edge widths off from which one step brings tubes to where they count as settled."""
 REWEIGHTS = 3
 LEAST_STRAY_PX = 0.02
@@ -113,23 +113,21 @@ def _step(
     for i in range(n):
         shift[i, 0], shift[i, 1] = told[SHIFT, i], told[SHIFT + 1, i] * v[1] / v[0]
     used = accepted_rims(told[STRENGTH], told[COVERED], told[RADIUS], shift, width, math.nan)
-    seen, off = 0, np.empty((2, n))
-    for i in range(n):
-        if used[i]:
-            off[0, seen], off[1, seen] = shift[i, 0], shift[i, 1]
-            seen += 1
+    seen = int(np.sum(used))
     if seen < LEAST_TUBES:
         return seen, math.nan
     shift *= 1.0 - overshot
-    _follow(v, R, t, guides, shift, used, turn, translation)
-    return seen, max(abs(median_in_place(off[0], seen)), abs(median_in_place(off[1], seen)))
+    return seen, _follow(v, R, t, guides, shift, used, turn, translation)
 
 
 @compiled
 def _follow(
     v: Array, R: Array, t: Array, guides: Array, shift: Array, used: NDArray[np.bool_], turn: Array, translation: Array
-) -> None:
-    """The pose that shifts the used tubes so, by Tukey's biweight, into `turn` and `translation`."""
+) -> float:
+    """The pose that shifts the used tubes so, by Tukey's biweight, into `turn` and `translation`.
+
+    Gives how far it shifts all of them, rms px.
+    """
     n = guides.shape[0]
     px, J, place = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty((n, 2, 3))
     middle = np.zeros(2)
@@ -138,7 +136,7 @@ def _follow(
     pivot = R[:, 0] * middle[0] + R[:, 1] * middle[1] + t
     linearise(v, 1.0, 1.0, R, t, pivot, guides, 6, px, J, place)
     x, weight, squares = np.zeros(6), used.astype(np.float64), np.empty(n)
-    for step in range(REWEIGHTS):
+    for _ in range(REWEIGHTS):
         A, b = np.zeros((6, 6)), np.zeros(6)
         for i in range(n):
             for p in range(6):
@@ -147,20 +145,34 @@ def _follow(
                 for q in range(6):
                     A[p, q] += gx * J[i, 0, q] + gy * J[i, 1, q]
         x = damped_step(A, b, 0.0)
-        if step == REWEIGHTS - 1:
-            break
-        m = 0
-        for i in range(n):
-            ex, ey = shift[i, 0], shift[i, 1]
-            for p in range(6):
-                ex -= J[i, 0, p] * x[p]
-                ey -= J[i, 1, p] * x[p]
-            weight[i] = ex * ex + ey * ey
-            if used[i]:
-                squares[m] = weight[i]
-                m += 1
-        cut = TUKEY * TUKEY * (median_in_place(squares, m) / MEDIAN_OF_TWO + LEAST_STRAY_PX * LEAST_STRAY_PX)
-        for i in range(n):
-            weight[i] = max(1.0 - weight[i] / cut, 0.0) ** 2 if used[i] else 0.0
+        _left(J, x, shift, squares)
+        _reweigh(squares, used, weight)
     turn[:] = turned(R, x[:3])
     translation[:] = (turn @ R.T) @ (t - pivot) + pivot + x[3:6]
+    _left(J, x, np.zeros((n, 2)), squares)
+    return math.sqrt(np.mean(squares))
+
+
+@compiled
+def _left(J: Array, x: Array, shift: Array, squares: Array) -> None:
+    """Square of what a step leaves of each shift."""
+    for i in range(shift.shape[0]):
+        squares[i] = 0.0
+        for k in range(2):
+            off = shift[i, k]
+            for p in range(6):
+                off -= J[i, k, p] * x[p]
+            squares[i] += off * off
+
+
+@compiled
+def _reweigh(squares: Array, used: NDArray[np.bool_], weight: Array) -> None:
+    """Tukey's weights of the used tubes."""
+    seen, m = np.empty(squares.shape[0]), 0
+    for i in range(squares.shape[0]):
+        if used[i]:
+            seen[m] = squares[i]
+            m += 1
+    cut = TUKEY * TUKEY * (median_in_place(seen, m) / MEDIAN_OF_TWO + LEAST_STRAY_PX * LEAST_STRAY_PX)
+    for i in range(squares.shape[0]):
+        weight[i] = max(1.0 - squares[i] / cut, 0.0) ** 2 if used[i] else 0.0

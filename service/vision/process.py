@@ -15,6 +15,7 @@ from service.vision.keyframes import Keyframe
 from service.vision.lattice import Arrangement, Lattice
 from service.vision.measurement import Doubt, Lock, Measurement, Tubes
 from service.vision.projection import project
+from service.vision.refinement import AT_REST
 from service.vision.selfcalibration import calibrate
 from service.vision.staleness import CalibrationWatch
 from service.vision.stopwatch import Stopwatch
@@ -59,15 +60,17 @@ class Measurer:
         The tubesheet.
     tick
         Nanoseconds, for the times that stages took.
+    at_rest
+        Edge widths that a tracked pose may lie from where rims were looked for; nearer takes more looks.
     """
 
-    def __init__(self, camera: Camera, lattice: Lattice, tick: Callable[[], int]) -> None:
-        self._camera, self._lattice, self._tick = camera, lattice, tick
+    def __init__(self, camera: Camera, lattice: Lattice, tick: Callable[[], int], *, at_rest: float = AT_REST) -> None:
+        self._camera, self._lattice, self._tick, self._at_rest = camera, lattice, tick, at_rest
         self.reset()
 
     def reset(self) -> None:
         """Forget what earlier pictures showed."""
-        self._tracker = Tracker(self._camera, self._lattice)
+        self._tracker = Tracker(self._camera, self._lattice, self._at_rest)
         self._calibration = CalibrationWatch(self._camera, self._lattice)
         self._interlace = Interlace()
         self._time_ns: int | None = None

@@ -28,13 +28,15 @@ if TYPE_CHECKING:
     Array: TypeAlias = NDArray[np.float64]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-__all__ = ["Refined", "projected", "refine"]
+__all__ = ["AT_REST", "Refined", "projected", "refine"]
 
 LEAST_TUBES = 6
 """Fewer measured tubes do not make a pose worth telling."""
 SETTLED, STILL_SETTLED = 0.05, 0.15
 """Edge widths that the tubes may lie off, in the middle of them all, for a pass to be the last; and where the profile
 is known from the picture before, so that a shift is all that there is to find."""
+AT_REST = 0.25
+"""Edge widths that a solution may lie from where rims were looked for, rms: shifts are told a few per cent short."""
 STEADY_WIDTH, NEAR_WIDTH = 0.93, 0.75
 """Least part of a profile's width that the next one may have, for a pass to be the last; and for it to be the last on a
 few tubes."""
@@ -62,6 +64,8 @@ class Refined:
         The solution.
     predicted_px, place
         (n, 2) and (n, 2, 3): projection under `fit`, and its derivative by the tube's own place, px per mm.
+    moved_px
+        How far that lies from where rims were looked for, rms.
     scale
         Px per mm in the middle of the places.
     common
@@ -81,6 +85,7 @@ class Refined:
     fit: Fit
     predicted_px: NDArray[np.float64]
     place: NDArray[np.float64]
+    moved_px: float
     scale: float
     common: Common
     state: NDArray[np.uint8]
@@ -139,6 +144,7 @@ def refine(
     afresh: bool = True,
     parity: int | None = None,
     few: int | None = None,
+    at_rest: float = AT_REST,
 ) -> Refined | None:
     """Measure all tubes in the picture and solve for the pose, until it stands still; None where too few are seen.
 
@@ -162,6 +168,8 @@ def refine(
     few
         How many tubes, spread over the picture, to measure until the pose hardly moves, before all are; None: all from
         the first pass on.
+    at_rest
+        Edge widths that the solution may lie from where rims were looked for.
     """
     on_all, least = 0, 1 if few is None else ON_ALL
     for step in range(passes):
@@ -184,7 +192,11 @@ def refine(
                 *looked, narrow, image.shape, camera, lattice, prior, rotation, translation_mm, before, afresh, parity
             )
             watch.lap("pose")
-            return refined
+            if step == passes - 1 or refined.moved_px < at_rest * narrow.width_px:
+                return refined
+            fit, profile = refined.fit, narrow
+            camera, rotation, translation_mm = fit.camera, fit.rotation, fit.translation_mm
+            continue
         fit = fit_pose(
             sites.sheet_mm[used], _likely_centers(rims)[used], rims.covariance_px[used], camera, rotation,
             translation_mm, lattice, prior,
@@ -211,6 +223,18 @@ def _look(
     return None if np.count_nonzero(used) < LEAST_TUBES else (sites, rims, used)
 
 
+@compiled
+def _rms_apart(a: Array, b: Array) -> float:
+    """Root mean square distance of points, (n, 2), without those that have no image."""
+    squares, n = 0.0, 0
+    for i in range(a.shape[0]):
+        d = (a[i, 0] - b[i, 0]) ** 2 + (a[i, 1] - b[i, 1]) ** 2
+        if d >= 0.0:  # not NaN
+            squares += d
+            n += 1
+    return math.sqrt(squares / max(n, 1))
+
+
 def _solved(
     sites: Sites, rims: Rims, used: NDArray[np.bool_], profile: EdgeProfile, shape: tuple[int, ...], camera: Camera,
     lattice: Lattice, prior: Prior, rotation: Array, translation_mm: Array, before: Common | None, afresh: bool,
@@ -218,7 +242,7 @@ def _solved(
 ) -> Refined:  # fmt: skip
     """The last solution, with what no residual shows of light and lens in its covariance."""
     which = np.flatnonzero(used)
-    _, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
+    looked_px, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
     scale = scale_of(place)
     bias = edge_bias(rims.covariance_px[which], scale, profile.width_px)
     lit, covariance = lit_walls(rims.gain, rims.bore, rims.covariance_px, place, scale, profile.width_px)
@@ -239,8 +263,8 @@ def _solved(
     agreeing[which[fit.weight <= 0.0]] = False
     return Refined(
         sites=sites, rims=rims, measured=used, used=agreeing, fit=fit, predicted_px=predicted, place=place,
-        scale=scale, common=Common(profile, bias, misfit), state=tube_states(sites, rims, agreeing), shape=shape,
-        parity=parity,
+        moved_px=_rms_apart(predicted, looked_px), scale=scale, common=Common(profile, bias, misfit),
+        state=tube_states(sites, rims, agreeing), shape=shape, parity=parity,
     )  # fmt: skip
 
 

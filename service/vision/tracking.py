@@ -18,7 +18,7 @@ from service.vision.lock import LEAST_TUBES, MOST_STRAY, Proof, prove
 from service.vision.motion import Motion, aligned, centred, looked_at
 from service.vision.pose import prior_of
 from service.vision.projection import project
-from service.vision.refinement import refine
+from service.vision.refinement import AT_REST, refine
 from service.vision.search import search_shift
 from service.vision.two_terms import with_two_terms
 from service.vision.working import WorkingCamera
@@ -98,10 +98,12 @@ class Tracker:
     ----------
     camera
         The full frame's camera, as far as it is known.
+    at_rest
+        As in `refine`.
     """
 
-    def __init__(self, camera: Camera, lattice: Lattice) -> None:
-        self.camera, self.lattice = camera, lattice
+    def __init__(self, camera: Camera, lattice: Lattice, at_rest: float = AT_REST) -> None:
+        self.camera, self.lattice, self._at_rest = camera, lattice, at_rest
         self.motion: Motion | None = None
         self._working = WorkingCamera.of(camera, lattice)
         self._common: Common | None = None
@@ -230,7 +232,7 @@ class Tracker:
             watch.lap("detect")
         refined = refine(
             image, start, self.lattice, prior, rotation, translation, self._common.profile, passes=TRACK_PASSES,
-            watch=watch, before=self._common, afresh=self._pictures % AFRESH == 0, parity=parity,
+            watch=watch, before=self._common, afresh=self._pictures % AFRESH == 0, parity=parity, at_rest=self._at_rest,
         )  # fmt: skip
         if not self._holds(refined):
             rotation, translation = predicted

@@ -197,9 +197,9 @@ def test_help_has_an_example(capsys):
 def test_it_measures_again_with_the_camera_that_it_found_until_that_stands_still(calibrate, installation, monkeypatch):
     cameras, measurer = [], command.Measurer
 
-    def noted(camera, lattice, tick):
+    def noted(camera, *more, **settings):
         cameras.append(camera)
-        return measurer(camera, lattice, tick)
+        return measurer(camera, *more, **settings)
 
     monkeypatch.setattr(command, "Measurer", noted)
     out = calibrate()[3]

@@ -3,16 +3,21 @@
 import math
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
 from drivers.scene import CLEAN, NOMINAL
+from service.vision import refinement
 from service.vision.approach import approach
 from service.vision.edges import start_profile
 from service.vision.measurement import Lock, Origin
+from service.vision.pose import NO_PRIOR
 from service.vision.projection import project
+from service.vision.refinement import refine
 from service.vision.rims import measure_rims
 from service.vision.shapes import shapes_of
+from service.vision.stopwatch import Stopwatch
 from tests.scenes.rendered import PLAIN, errors_of, looking, view
 
 EVEN = replace(PLAIN, wall=0.0, read_noise=0.5)
@@ -162,3 +167,30 @@ def test_a_pose_stays_as_it_was_where_too_few_tubes_show():
     guides = seen.lattice.sheet_points(np.arange(8), np.arange(8))
     found = approach(black, seen.camera, seen.lattice, rotation, translation, guides, start_profile(1.0), 0.0)
     assert found == (rotation, translation)
+
+
+@pytest.mark.parametrize(
+    ("turn_deg", "at_rest", "looks"), [(0.0, 0.05, 1), (0.1, 0.25, 1), (0.1, 0.05, 2), (0.3, 0.25, 2)]
+)
+def test_a_solution_far_from_where_rims_were_looked_for_is_looked_at_again(monkeypatch, turn_deg, at_rest, looks):
+    """A turn about the picture's middle moves tubes to all sides: the median of their shifts says nothing of it."""
+    seen, looked = view(look=REAL), []
+    measure = refinement.measure_rims
+
+    def noted(*args, **settings):
+        looked.append(args)
+        return measure(*args, **settings)
+
+    start = refine(
+        seen.image, seen.camera, seen.lattice, NO_PRIOR, seen.rotation, seen.translation_mm, start_profile(1.0),
+        passes=10, watch=Stopwatch(lambda: 0),
+    )  # fmt: skip
+    turned = cv2.Rodrigues(np.radians([0.0, 0.0, turn_deg]))[0] @ start.fit.rotation
+    monkeypatch.setattr(refinement, "measure_rims", noted)
+    again = refine(
+        seen.image, seen.camera, seen.lattice, NO_PRIOR, np.ascontiguousarray(turned), start.fit.translation_mm,
+        start.common.profile, passes=10, watch=Stopwatch(lambda: 0), before=start.common, afresh=False,
+        at_rest=at_rest,
+    )  # fmt: skip
+    assert len(looked) == looks
+    assert again.moved_px < at_rest * again.common.profile.width_px
