@@ -8,7 +8,7 @@ import time
 
 from drivers.errors import ConfigError
 
-__all__ = ["free_port", "is_loopback", "listens"]
+__all__ = ["falls_silent", "free_port", "is_loopback", "listens"]
 
 NEXT_PORTS = 50
 
@@ -59,12 +59,26 @@ def _try_to_bind(address: str, port: int) -> None:
 
 def listens(address: str, port: int, timeout_s: float) -> bool:
     """Wait until something accepts connections; False where nothing does in time."""
+    return _comes_to(address, port, timeout_s, accepted=True)
+
+
+def falls_silent(address: str, port: int, timeout_s: float) -> bool:
+    """Wait until nothing accepts connections any more; False where something still does then."""
+    return _comes_to(address, port, timeout_s, accepted=False)
+
+
+def _comes_to(address: str, port: int, timeout_s: float, *, accepted: bool) -> bool:
     deadline = time.monotonic() + timeout_s
     while time.monotonic() < deadline:
-        try:
-            socket.create_connection((address, port), timeout=1.0).close()
-        except OSError:
-            time.sleep(0.01)
-        else:
+        if _accepts(address, port) == accepted:
             return True
+        time.sleep(0.01)
     return False
+
+
+def _accepts(address: str, port: int) -> bool:
+    try:
+        socket.create_connection((address, port), timeout=1.0).close()
+    except OSError:
+        return False
+    return True

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
+import os
 import shlex
 import sysconfig
+import threading
+import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.errors import ConfigError
-from service.sinks.ports import free_port, is_loopback, listens
+from service.sinks.ports import falls_silent, free_port, is_loopback, listens
 from service.sinks.quiet_rerun import rr
 from service.sinks.viewer_pace import Pace
 from service.sinks.viewer_page import ViewerPage, rerun_program
 from service.sinks.viewer_stream import ViewerStream
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from drivers.frame import Frame
     from service.results import FrameResult
@@ -27,9 +32,11 @@ __all__ = ["ViewerSink"]
 
 log = logging.getLogger(__name__)
 
-CAPACITY = 8
+CAPACITY = 2
+"""What waits longer than two frames is no longer what the camera sees."""
 GRPC_PORT, WEB_PORT = 9876, 9090
 START_TIMEOUT_S = 5.0
+PACK_TIMEOUT_S = 0.2
 BY_FRAME = rr.ChunkBatcherConfig(flush_tick=1.0, flush_num_bytes=2**30, flush_num_rows=2**20)
 """Send nothing before a frame is complete: half of one would be shown with half of the last."""
 
@@ -63,6 +70,8 @@ class ViewerSink(ViewerStream):
         self._wanted_port, self._wanted_web_port = port, web_port
         self._page: ViewerPage | None = None
         self._pace: Pace | None = None
+        self._packed = True
+        self._port: int | None = None
 
     @property
     def url(self) -> str:
@@ -90,7 +99,7 @@ class ViewerSink(ViewerStream):
 
     def _do_consume(self, frame: Frame, results: Sequence[FrameResult]) -> bool:
         assert self._pace is not None, "started"
-        if not self._pace.due():
+        if not (self._packed or self._send()) or not self._pace.due():
             return False
         super()._do_consume(frame, results)
         self._send()
@@ -104,9 +113,26 @@ class ViewerSink(ViewerStream):
         super()._do_state(state)
         self._send()
 
-    def _send(self) -> None:
+    def _send(self) -> bool:
+        """Wait until rerun has packed what was drawn; False where it has not in time, and is to get no more until then.
+
+        Its threads have what time the others leave. Frames that it lacks the time for are better let go here, where
+        they are counted, than put by there, to be shown when they are old.
+        """
         assert self._stream is not None, "started"
-        self._stream.flush(timeout_sec=0.0)  # no time to wait: only begins
+        try:
+            self._stream.flush(timeout_sec=PACK_TIMEOUT_S)
+        except RuntimeError:
+            self._packed = False
+        else:
+            self._packed = True
+        return self._packed
+
+    def _do_finish(self, timeout_s: float) -> None:
+        deadline = time.monotonic() + timeout_s
+        super()._do_finish(timeout_s)
+        assert self._port is not None, "started"
+        falls_silent(self._address, self._port, deadline - time.monotonic())  # its server ends when it gets to it
 
     def _do_open(self, stream: rr.RecordingStream) -> None:
         address = self._address
@@ -118,12 +144,28 @@ class ViewerSink(ViewerStream):
         port = free_port(address, self._wanted_port, GRPC_PORT, "viewer port")
         web_port = free_port(address, self._wanted_web_port, WEB_PORT, "viewer web port")
         sink = rr.GrpcServerSink(address, port, server_memory_limit=self._memory_limit)
-        stream.set_sinks(sink)
+        _in_the_background(lambda: stream.set_sinks(sink))
         if not listens(address, port, START_TIMEOUT_S):
             raise ConfigError(f"viewer port = {port} at {address}: rerun does not listen there; name another port")
         self._page = ViewerPage(address, web_port, f"rerun+http://{address}:{port}/proxy")
         self._page.start()
-        self._pace = Pace(port)
+        self._pace, self._port = Pace(port), port
         for what, used, default in (("port", port, GRPC_PORT), ("web port", web_port, WEB_PORT)):
             if getattr(self, f"_wanted_{what.replace(' ', '_')}") is None and used != default:
                 log.warning("viewer: %s %d is in use; listening on %d instead", what, default, used)
+
+
+def _in_the_background(start: Callable[[], None]) -> None:
+    """Call `start` so that the threads which it starts run only when no other wants to.
+
+    Packing 1920x1080 60 times a second takes rerun a third of a core: beside measuring, not before it. The system gives
+    its rank to a thread's own threads, and takes no rank back that was given up: hence a thread for this alone.
+    """
+    with ThreadPoolExecutor(1, "bowlsight-viewer-start", initializer=_give_way) as thread:
+        thread.submit(start).result()
+
+
+def _give_way() -> None:
+    """Let this thread run when no other wants to; where the system knows no such thing, as any other."""
+    with contextlib.suppress(OSError, AttributeError):
+        os.sched_setscheduler(threading.get_native_id(), os.SCHED_IDLE, os.sched_param(0))

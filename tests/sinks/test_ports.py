@@ -3,7 +3,7 @@ import socket
 import pytest
 
 from drivers.errors import ConfigError
-from service.sinks.ports import free_port, is_loopback, listens
+from service.sinks.ports import falls_silent, free_port, is_loopback, listens
 
 HERE = "127.0.0.1"
 
@@ -44,9 +44,11 @@ def test_a_port_left_a_moment_ago_is_free():
 
 def test_what_listens_is_told_from_what_does_not(taken):
     assert listens(HERE, taken, 5.0)
+    assert not falls_silent(HERE, taken, 0.05)
     with socket.socket() as s:
         s.bind((HERE, 0))
         assert not listens(HERE, s.getsockname()[1], 0.05)
+        assert falls_silent(HERE, s.getsockname()[1], 5.0)
 
 
 def test_loopback_is_told_from_what_others_reach():

@@ -161,6 +161,31 @@ def test_a_viewer_that_stops_reading_costs_frames_that_are_counted(sink, clients
     wait_until(lambda: (feed(sink, [next(numbers)]), max(Rrd(client.path).frames(), default=0) > i)[1])
 
 
+def test_frames_that_rerun_has_no_time_to_pack_are_let_go_and_counted(sink, monkeypatch):
+    feed(sink, [0])
+    asked = iter([False, False, True])  # after frame 1, before frame 2, before frame 3
+
+    def flush(timeout_sec):
+        if not next(asked, True):
+            raise RuntimeError("Flush timed out - not all messages were sent.")
+
+    monkeypatch.setattr(sink._stream, "flush", flush)
+    feed(sink, range(1, 4))
+    assert (sink.stats().accepted, sink.stats().dropped, sink.stats().failed) == (4, 1, 0)
+
+
+def test_rerun_packs_and_sends_when_no_other_thread_wants_to_run(sink, clients):
+    client = clients(sink)
+    feed(sink, range(3))
+    client.wait_for_bytes(10_000)
+    policies = {}
+    for task in Path("/proc/self/task").iterdir():
+        policies.setdefault((task / "comm").read_text().strip(), set()).add(os.sched_getscheduler(int(task.name)))
+    assert os.SCHED_IDLE in policies["tokio-rt-worker"]
+    for thread in (threading.main_thread(), sink._thread, sink._page._thread):  # who holds Python's lock must not wait
+        assert os.sched_getscheduler(thread.native_id) == os.SCHED_OTHER, thread.name
+
+
 def test_a_connection_that_never_speaks_or_reads_delays_nobody(sink):
     with (
         socket.create_connection((HERE, port_of(sink.grpc_url))) as silent,
