@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 from drivers import access
+from service.acquisition.precedence import NICE
 from service.cli.parser import parse
 from service.config.shipped import shipped_config
 
@@ -30,6 +31,10 @@ def test_the_unit_starts_a_command_that_there_is_and_is_watched():
     assert service["Type"] == "notify"
     assert int(service["WatchdogSec"]) >= 10
     assert (service["Restart"], service["RestartPreventExitStatus"]) == ("on-failure", "2")
+
+
+def test_the_unit_lets_capture_and_measuring_go_first():
+    assert int(unit()["Service"]["LimitNICE"]) == NICE
 
 
 def test_the_unit_allows_the_devices_that_the_drivers_open():

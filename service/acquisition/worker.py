@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from service.acquisition.health import Rate, Window
 from service.acquisition.ledger import Outcome
+from service.acquisition.precedence import go_first
 from service.acquisition.repeated import RepeatedLog
 
 if TYPE_CHECKING:
@@ -97,6 +98,7 @@ class Worker:
         return self._done.wait(max(0.0, timeout_s))
 
     def _run(self) -> None:
+        go_first()
         try:
             while not self._stop.is_set():
                 frame = self._hand_over.take(TAKE_TIMEOUT_S)
