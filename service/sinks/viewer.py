@@ -37,6 +37,7 @@ CAPACITY = 2
 GRPC_PORT, WEB_PORT = 9876, 9090
 START_TIMEOUT_S = 5.0
 PACK_TIMEOUT_S = 0.2
+SILENT_TIMEOUT_S = 0.2
 BY_FRAME = rr.ChunkBatcherConfig(flush_tick=1.0, flush_num_bytes=2**30, flush_num_rows=2**20)
 """Send nothing before a frame is complete: half of one would be shown with half of the last."""
 
@@ -132,7 +133,8 @@ class ViewerSink(ViewerStream):
         deadline = time.monotonic() + timeout_s
         super()._do_finish(timeout_s)
         assert self._port is not None, "started"
-        falls_silent(self._address, self._port, deadline - time.monotonic())  # its server ends when it gets to it
+        # Its server ends when it gets to it, and not at all before viewers that are still there
+        falls_silent(self._address, self._port, min(SILENT_TIMEOUT_S, (deadline - time.monotonic()) / 2))
 
     def _do_open(self, stream: rr.RecordingStream) -> None:
         address = self._address

@@ -110,6 +110,14 @@ def test_a_viewer_gets_every_frame_with_its_results(sink, clients):
     assert sink.stats().dropped == 0
 
 
+def test_it_ends_in_time_although_a_viewer_looks_on(sink, clients):
+    client = clients(sink)
+    feed(sink, range(3))
+    client.wait_for_bytes(10_000)
+    sink.close(1.0)
+    assert not sink.running
+
+
 def test_two_viewers_get_the_same(sink, clients):
     both = clients(sink), clients(sink)
     feed(sink, range(20))
