@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
     Pairs: TypeAlias = NDArray[np.uint16] | NDArray[np.uint32]
 
-__all__ = ["approach"]
+__all__ = ["approach", "guides_of"]
 
 RAYS = 12
 """Rays a tube: half of what measuring takes."""
@@ -44,6 +44,8 @@ NEAR, BROAD = 1.3, 2.0
 """Edge widths off that a learnt profile reaches, and widths of the edge that is looked for beyond that."""
 WELL_WITHIN = 0.6
 """Edge widths off from which one step brings tubes to where they count as settled."""
+ACROSS, DOWN = 6, 4
+"""Parts of the picture that have a guide each: a pose from so many tubes is good to a tenth px."""
 REWEIGHTS = 3
 LEAST_STRAY_PX = 0.02
 """Tubes never agree better than that on where the pose goes."""
@@ -90,6 +92,20 @@ def approach(
             break
         look = profile
     return rotation, translation_mm
+
+
+@compiled
+def guides_of(center_px: Array, strength: Array, used: NDArray[np.bool_], width: int, height: int) -> NDArray[np.int64]:
+    """The clearest of the used tubes in each part of the picture: which of the n they are, (m,)."""
+    best = np.full(ACROSS * DOWN, -1)
+    for i in range(center_px.shape[0]):
+        if used[i]:
+            column = min(max(int(center_px[i, 0] * ACROSS / width), 0), ACROSS - 1)
+            row = min(max(int(center_px[i, 1] * DOWN / height), 0), DOWN - 1)
+            k = row * ACROSS + column
+            if best[k] < 0 or strength[i] > strength[best[k]]:
+                best[k] = i
+    return best[best >= 0]
 
 
 @compiled

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.acquire import candidates
-from service.vision.approach import approach
+from service.vision.approach import approach, guides_of
 from service.vision.compiled import median_of
 from service.vision.edges import start_profile
 from service.vision.evidence import CONTRADICTION, SUSPICIOUS, PlaceMap
@@ -58,8 +58,6 @@ UNSEEN_S = 0.1
 """Time without a pose beyond which the sheet's travel counts."""
 AFRESH = 5
 """So many pictures in which what changes slowly is found anew once; odd, so that both fields have their turn."""
-GUIDES = 24
-"""Tubes that a prediction is brought near with, spread over the picture; a pose from as many is good to a tenth px."""
 CALM = 0.13
 """Edge widths that a prediction may have been off for the next one to be good enough as it is."""
 SMOOTH = 0.2
@@ -314,9 +312,9 @@ class Tracker:
             self.motion = self.motion.moved_to(fit.rotation, fit.translation_mm, time_ns, anchor)
         self._share += (SMOOTH if self._share else 1.0) * (refined.share - self._share)
         self._common = refined.common
-        clear = np.flatnonzero(refined.used)
-        if len(clear) > 2 * GUIDES:
-            clear = clear[refined.rims.strength[clear] >= median_of(refined.rims.strength[clear])]
-        self._guides_mm = refined.sites.sheet_mm[clear[:: math.ceil(len(clear) / GUIDES)]]
+        guides = guides_of(
+            refined.predicted_px, refined.rims.strength, refined.used, refined.shape[1], refined.shape[0]
+        )  # fmt: skip
+        self._guides_mm = refined.sites.sheet_mm[guides]
         depth = float(fit.rotation[2, :2] @ anchor + fit.translation_mm[2])
         self._radius_px = self.lattice.rim_radius_mm * float(fit.camera.vector()[0]) / depth
