@@ -1,4 +1,4 @@
-"""How the light falls off over a tube end, as its neighbours tell it."""
+"""How the light falls off over a tube end, as all tubes together tell it."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from service.vision.cholesky import solved
 from service.vision.compiled import compiled
 
 if TYPE_CHECKING:
@@ -14,82 +15,73 @@ if TYPE_CHECKING:
 
     Array: TypeAlias = NDArray[np.float64]
 
-__all__ = ["SLOPE_REACH", "light_slopes"]
+__all__ = ["light_slopes"]
 
-SLOPE_REACH = 2.3
-"""How far, in pitches, neighbours tell how the light falls off."""
-MOST_NEARBY = 64
-"""Three times as many as a lattice has within that reach."""
-SLOPE_STRENGTH = 4.0
-SLOPE_PRIOR = 0.3
-"""Information, in tubes at the edge of that reach, that draws the light towards level."""
-SLOPE_STRAY = 0.8
-"""A tube whose edge differs by this, as a logarithm, is stained and does not tell."""
+TERMS = 6
+LEAST_TELLING = 6
+TELLING_STRENGTH = 4.0
+STRAY = 0.8
+"""A tube whose edge differs by this from the others', as a logarithm, is stained or in a shadow and does not tell."""
+ROUNDS = 3
+LEVEL, EVEN = 0.01, 0.05
+"""Information, in tubes at the picture's edge, that draws slopes and curvature of the light towards nothing."""
 
 
 @compiled
-def light_slopes(
-    center: Array, aspect: float, gain: Array, strength: Array, reach: float, radius: float, slope: Array
-) -> None:
-    """How the light changes from each tube's centre to its rim: slope of the logarithm of its neighbours' gains.
+def light_slopes(center: Array, aspect: float, gain: Array, strength: Array, radius: float, slope: Array) -> None:
+    """How the light changes from each tube's centre to its rim, as a part of itself, into `slope`, (2, n).
 
-    A plane through the neighbours, drawn towards level light; one reweighting sets stained tubes aside. Tubes are
-    looked up in square cells as wide as the reach.
+    The logarithm of the edges' heights is taken for a polynomial of second order over the picture: a lamp's spot is
+    one. Its slope is known even where tubes are too dim to tell it themselves. Lengths are in px of x.
     """
     n = center.shape[0]
     tells = np.empty(n, np.bool_)
-    log = np.empty(n)
-    right, bottom = 0.0, 0.0
+    low, high, known = np.full(2, math.inf), np.full(2, -math.inf), 0
     for i in range(n):
-        tells[i] = strength[i] >= SLOPE_STRENGTH and center[i, 0] > -reach and center[i, 1] > -reach
+        tells[i] = strength[i] >= TELLING_STRENGTH and gain[i] > 0.0 and not math.isnan(center[i, 0])
         if tells[i]:
-            log[i] = math.log(gain[i])
-            right, bottom = max(right, center[i, 0]), max(bottom, center[i, 1] * aspect)
-    across, down, near = int(right / reach) + 4, int(bottom / reach) + 4, np.empty((4, MOST_NEARBY))
-    first, next_one = np.full(across * down, -1, np.int64), np.empty(n, np.int64)
+            known += 1
+            for k in range(2):
+                low[k], high[k] = min(low[k], center[i, k]), max(high[k], center[i, k])
+    if known < LEAST_TELLING:
+        return
+    half = max(0.5 * max(high[0] - low[0], aspect * (high[1] - low[1])), radius)
+    x0, y0 = 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])
+    place, log = np.empty((2, n)), np.empty(n)
     for i in range(n):
-        if tells[i]:
-            cell = (int(center[i, 1] * aspect / reach + 1.0) + 1) * across + int(center[i, 0] / reach + 1.0) + 1
-            next_one[i] = first[cell]
-            first[cell] = i
+        place[0, i], place[1, i] = (center[i, 0] - x0) / half, aspect * (center[i, 1] - y0) / half
+        log[i] = math.log(gain[i]) if tells[i] else 0.0
+    c = _trend(place, tells, log)
     for i in range(n):
-        if not tells[i]:
-            continue
-        x0, y0 = center[i, 0], center[i, 1] * aspect
-        cx, cy = int(x0 / reach + 1.0) + 1, int(y0 / reach + 1.0) + 1
-        m = 0
-        for row in range(max(cy - 1, 0), min(cy + 2, down)):
-            for col in range(max(cx - 1, 0), min(cx + 2, across)):
-                j = first[row * across + col]
-                while j >= 0:
-                    dx, dy = (center[j, 0] - x0) / reach, (center[j, 1] * aspect - y0) / reach
-                    d2 = dx * dx + dy * dy
-                    if d2 < 1.0 and m < MOST_NEARBY:
-                        near[0, m], near[1, m], near[2, m], near[3, m] = dx, dy, log[j], 1.0 - d2
-                        m += 1
-                    j = next_one[j]
-        a, bx, by = log[i], 0.0, 0.0
-        for step in range(2):
-            s0, sx, sy, sxx, sxy, syy, t0, tx, ty = 0.0, 0.0, 0.0, SLOPE_PRIOR, 0.0, SLOPE_PRIOR, 0.0, 0.0, 0.0
-            for k in range(m):
-                dx, dy, z = near[0, k], near[1, k], near[2, k]
-                r = (z - a - bx * dx - by * dy) / SLOPE_STRAY if step else 0.0
-                w = (near[3, k] * max(1.0 - r * r, 0.0)) ** 2
-                s0 += w
-                sx += w * dx
-                sy += w * dy
-                sxx += w * dx * dx
-                sxy += w * dx * dy
-                syy += w * dy * dy
-                t0 += w * z
-                tx += w * z * dx
-                ty += w * z * dy
-            if s0 < 2.0:
-                bx, by = 0.0, 0.0
-                break
-            vxx, vxy, vyy = sxx - sx * sx / s0, sxy - sx * sy / s0, syy - sy * sy / s0
-            ux, uy = tx - sx * t0 / s0, ty - sy * t0 / s0
-            det = vxx * vyy - vxy * vxy
-            bx, by = (vyy * ux - vxy * uy) / det, (vxx * uy - vxy * ux) / det
-            a = (t0 - bx * sx - by * sy) / s0
-        slope[i, 0], slope[i, 1] = bx * radius / reach, by * radius / reach
+        x, y = place[0, i], place[1, i]
+        if not math.isnan(x):
+            slope[0, i] = (c[1] + 2.0 * c[3] * x + c[4] * y) * radius / half
+            slope[1, i] = (c[2] + c[4] * x + 2.0 * c[5] * y) * radius / half
+
+
+@compiled
+def _trend(place: Array, tells: NDArray[np.bool_], log: Array) -> Array:
+    """Polynomial, (TERMS,) of 1, x, y, xx, xy, yy, through what tubes tell; robust."""
+    c, f = np.zeros(TERMS), np.empty(TERMS)
+    for step in range(ROUNDS):
+        A, b = np.zeros((TERMS, TERMS)), np.zeros(TERMS)
+        for i in range(log.shape[0]):
+            if not tells[i]:
+                continue
+            x, y = place[0, i], place[1, i]
+            f[0], f[1], f[2], f[3], f[4], f[5] = 1.0, x, y, x * x, x * y, y * y
+            r = 0.0
+            if step:
+                r = log[i]
+                for p in range(TERMS):
+                    r -= c[p] * f[p]
+            w = max(1.0 - (r / STRAY) ** 2, 0.0) ** 2
+            for p in range(TERMS):
+                b[p] += w * f[p] * log[i]
+                for q in range(p + 1):
+                    A[p, q] += w * f[p] * f[q]
+        for p in range(1, TERMS):
+            A[p, p] += LEVEL if p < 3 else EVEN
+        A[0, 0] += 1e-6
+        c = solved(A, b)
+    return c

@@ -4,6 +4,9 @@ Unknowns are the mean, cosine's and sine's part of each of the `shapes`, fifteen
 covariance ``s^2 W^-1 + B S B^T``: noise, and shapes that stray. In the terms of `Shapes`, what a ray's numbers tell of
 its coefficients is then diagonal: ``L / (s^2 + L)``.
 
+How far a tube's shapes are expected to lean is not nothing: with the light, as the neighbours tell it, and with the
+view, as all tubes of the picture tell it together.
+
 The last axis of every array is the tubes', and each loop over it does one thing: so that a processor which adds and
 multiplies many numbers at a time can. Sums are kept in single precision, as grey values are, equations in double.
 """
@@ -15,6 +18,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
+from service.vision.cholesky import solved
 from service.vision.compiled import compiled, sort_columns
 from service.vision.edges import SAMPLES
 from service.vision.rays import BASIS, ENERGY
@@ -38,6 +42,8 @@ MODEL = 0.05
 LEAST_GAIN = 0.3
 """Least height of a tube's edge, of that which its rays told one by one, that a shift is told with."""
 LEAST_AGREEING = 6.0
+TELLING = 5.0
+"""Least strength of a tube that tells how shapes lean with the view."""
 LEAST_MISFIT = 0.03
 """A ray never fits better than this part of what noise and model say."""
 SPREAD = 1.5
@@ -55,28 +61,34 @@ ONE, TWO, NOTHING = np.float32(1.0), np.float32(2.0), np.float32(0.0)
 PER_SAMPLE = np.float32(1.0 / SAMPLES)
 
 
-def solve(seen: Rays, shapes: Shapes, noise: float, told: Array, scratch: Scratch) -> None:
+def solve(seen: Rays, shapes: Shapes, noise: float, view: Array, light: Array, told: Array, scratch: Scratch) -> None:
     """Shift, radius and covariance of each tube, into `told`, that of `rim_levels.levels`.
 
     Parameters
     ----------
     noise
         Error of a sample one px long, grey.
+    view
+        (2, n) where the picture shows a rim that lies deeper, per its depth: tangent of the angle that it is seen at.
+    light
+        (2, n) relative change of the light from the tube's centre to its rim.
     scratch
         Lends the memory for the equations.
     """
     count, n = seen.valid.shape
     _solve(
         seen.numbers, seen.direction, seen.valid, shapes.first, shapes.information, shapes.basis, shapes.prior,
-        shapes.expected, noise, told, scratch.array((BASIS, count, n), SINGLE),
-        scratch.array((3, count, n), SINGLE), scratch.array((SIZE, SIZE, n), DOUBLE),
+        shapes.expected, shapes.with_view, shapes.with_light, noise, view, light, told,
+        scratch.array((BASIS, count, n), SINGLE), scratch.array((3, count, n), SINGLE),
+        scratch.array((SIZE, SIZE, n), DOUBLE),
     )  # fmt: skip
 
 
 @compiled
 def _solve(
     numbers: Single, direction: Single, valid: Single, first: Array, information: Array, basis: Array, prior: Array,
-    expected: Array, noise: float, told: Array, z: Single, of_rays: Single, A: Array,
+    expected: Array, with_view: Array, with_light: Array, noise: float, view: Array, light: Array, told: Array,
+    z: Single, of_rays: Single, A: Array,
 ) -> None:  # fmt: skip
     count, n = valid.shape
     precision, usual = np.empty(n, np.float32), np.empty(n, np.float32)
@@ -87,7 +99,8 @@ def _solve(
     _in_edge_heights(numbers, first, information, noise, told, precision, straying, counted, z, energy)
     for step in range(ROUNDS):
         _sum(direction, weight, z, sums)
-        _equations(sums, counted, straying, prior, expected, A, x)
+        lean = _lean_with_view(sums, counted, straying, with_view, with_light, view, light, told[STRENGTH])
+        _equations(sums, counted, straying, prior, expected, prior[1] @ lean, prior[1] @ with_light, view, light, A, x)
         _factor(A)
         _substitute(A, x)
         if step < ROUNDS - 1:
@@ -154,16 +167,46 @@ def _sum(direction: Single, weight: Single, z: Single, sums: Single) -> None:
 
 
 @compiled
+def _lean_with_view(
+    sums: Single, counted: Single, straying: Single, prior: Array, with_light: Array, view: Array, light: Array,
+    strength: Array,
+) -> Array:  # fmt: skip
+    """How the shapes of all tubes lean with the view, (BASIS,), beside what they do with the light.
+
+    Where each tube's means and shift are as they like, sums of the first harmonics over all tubes tell it; `prior` is
+    the information on it beforehand.
+    """
+    A, b = prior.copy(), np.zeros(BASIS)
+    for i in range(sums.shape[1]):
+        if strength[i] < TELLING or sums[0, i] < LEAST_AGREEING:
+            continue
+        x, y = view[0, i], view[1, i]
+        total, cosine, sine = sums[0, i], sums[1, i], sums[2, i]
+        middle = (x * cosine + y * sine) / total
+        to_x = x * sums[3, i] + y * sums[4, i] - middle * cosine
+        to_y = x * sums[4, i] + y * sums[5, i] - middle * sine
+        of_view, of_light = x * to_x + y * to_y, light[0, i] * to_x + light[1, i] * to_y
+        for p in range(BASIS):
+            leans = x * sums[6 + BASIS + p, i] + y * sums[6 + 2 * BASIS + p, i] - middle * sums[6 + p, i]
+            A[p, p] += counted[p, i] * of_view
+            b[p] += straying[p, i] * leans - counted[p, i] * of_light * with_light[p]
+    return solved(A, b)
+
+
+@compiled
 def _equations(
-    sums: Single, counted: Single, straying: Single, prior: Array, expected: Array, A: Array, x: Array
-) -> None:
+    sums: Single, counted: Single, straying: Single, prior: Array, expected: Array, by_view: Array, by_light: Array,
+    view: Array, light: Array, A: Array, x: Array,
+) -> None:  # fmt: skip
     """Normal equations, the lower halves of (SIZE, SIZE, n), and their right sides into `x`."""
     n = sums.shape[1]
     for p in range(BASIS):
+        for i in range(n):
+            x[p, i] = sums[6 + p, i] * straying[p, i] + expected[p]
         for h in range(3):
-            extra = expected[p] if h == 0 else 0.0
-            for i in range(n):
-                x[h * BASIS + p, i] = sums[6 + h * BASIS + p, i] * straying[p, i] + extra
+            for i in range(n if h else 0):
+                of_rays = sums[6 + h * BASIS + p, i] * straying[p, i]
+                x[h * BASIS + p, i] = of_rays + by_view[p] * view[h - 1, i] + by_light[p] * light[h - 1, i]
             for g in range(h + 1):
                 for q in range(BASIS):
                     A[h * BASIS + p, g * BASIS + q] = prior[min(h, 1), p, q] if g == h else 0.0

@@ -22,7 +22,8 @@ import numpy as np
 
 from service.vision.compiled import compiled, median_in_place
 from service.vision.edges import profile_of
-from service.vision.light import SLOPE_REACH, light_slopes
+from service.vision.light import light_slopes
+from service.vision.projection import project_point
 from service.vision.rays import rays_for, sample_rays, straightening
 from service.vision.rim_levels import (
     COVARIANCE,
@@ -53,9 +54,6 @@ if TYPE_CHECKING:
 
 __all__ = ["Rims", "accepted", "accepted_rims", "measure_rims", "px_per_mm"]
 
-LIGHT_SHIFT, LIGHT_BLUR, SHARP_PX = 0.3, 0.5, 0.8
-"""What uneven light shifts a rim by, in `Rims.light_px`: on sharp pictures, and more per px of blur beyond SHARP_PX.
-Measured on truth."""
 NOISE_SCALE = 2.0
 """Error of a sample one px long over the grey values' second difference in the bore."""
 LEAST_STRENGTH = 3.3
@@ -153,22 +151,20 @@ def _measured(
     )  # fmt: skip
     told = np.zeros((FIGURES, n))
     noise = levels(seen.numbers, seen.valid, shapes.first, shapes.edge, told)
+    light = np.zeros((2, n))
+    light_slopes(seen.center_px, aspect, told[HEIGHT], told[STRENGTH], lattice.rim_radius_mm * scale, light)
     if profile.learnt:
-        solve(seen, shapes, noise * NOISE_SCALE, told, scratch)
+        view = _aslant(vector, rotation, translation_mm, sheet_mm, seen.center_px, scale)
+        solve(seen, shapes, noise * NOISE_SCALE, view, light, told, scratch)
     else:
         reach = REACH * profile.width_px
         find(seen.numbers, seen.direction, seen.valid, shapes.first, shapes.edge, shapes.moved, reach, told)
-    light = np.zeros((n, 2))
-    light_slopes(
-        seen.center_px, aspect, told[HEIGHT], told[STRENGTH], SLOPE_REACH * lattice.pitch_mm * scale,
-        lattice.rim_radius_mm * scale, light,
-    )  # fmt: skip
-    center, shift, covariance = _placed(seen.center_px, aspect, profile.width_px, told, seen.level, light)
+    center, shift, covariance, uneven = _placed(seen.center_px, aspect, profile.width_px, told, seen.level, light)
     if not profile.learnt:  # a search reaches farther in grey values as they are
         _straighten(bend, told, seen.mean)
     return Rims(
         center_px=center, shift_px=shift, radius_px=told[RADIUS], covariance_px=covariance, gain=told[HEIGHT],
-        bore=told[INNER_LEVEL], outside=told[OUTER_LEVEL], strength=told[STRENGTH], rays=told[COVERED], light_px=light,
+        bore=told[INNER_LEVEL], outside=told[OUTER_LEVEL], strength=told[STRENGTH], rays=told[COVERED], light_px=uneven,
         mean=seen.mean, looked=profile,
     )  # fmt: skip
 
@@ -188,21 +184,33 @@ def _straighten(bend: float, told: Array, mean: Array) -> None:
 @compiled
 def _placed(
     predicted: Array, aspect: float, width: float, told: Array, level: Array, light: Array
-) -> tuple[Array, Array, Array]:
-    """Centres, shifts and covariances in px of the picture; levels and light, in place, in grey and px."""
+) -> tuple[Array, Array, Array, Array]:
+    """Centres, shifts, covariances and what light may shift, in px of the picture; levels, in place, in grey."""
     n = level.shape[0]
-    center, shift, covariance = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 3))
-    per_axis, by_light = (1.0, 1.0 / aspect), LIGHT_SHIFT + LIGHT_BLUR * max(0.0, width - SHARP_PX)
+    center, shift, covariance, light_px = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 3)), np.empty((n, 2))
+    per_axis = (1.0, 1.0 / aspect)
     for i in range(n):
         told[INNER_LEVEL, i] += level[i]
         told[OUTER_LEVEL, i] += level[i]
         for k in range(2):
-            light[i, k] *= width * per_axis[k]
-            shift[i, k] = told[SHIFT + k, i] * per_axis[k] + by_light * light[i, k]
+            light_px[i, k] = light[k, i] * width * per_axis[k]
+            shift[i, k] = told[SHIFT + k, i] * per_axis[k]
             center[i, k] = predicted[i, k] + shift[i, k]
         for k in range(3):
             covariance[i, k] = told[COVARIANCE + k, i] / aspect**k
-    return center, shift, covariance
+    return center, shift, covariance, light_px
+
+
+@compiled
+def _aslant(v: Array, R: Array, t: Array, sheet_mm: Array, center: Array, scale: float) -> Array:
+    """Where the picture shows a rim that lies one mm deeper, (2, n), in what a mm across is long, px of x."""
+    n, aspect = sheet_mm.shape[0], v[0] / v[1]
+    view = np.zeros((2, n))
+    for i in range(n):
+        x, y = project_point(v, R, t, sheet_mm[i, 0], sheet_mm[i, 1], 1.0)
+        if not math.isnan(x) and not math.isnan(center[i, 0]):
+            view[0, i], view[1, i] = (x - center[i, 0]) / scale, aspect * (y - center[i, 1]) / scale
+    return view
 
 
 @compiled

@@ -29,8 +29,16 @@ __all__ = ["Shapes", "shapes_of"]
 STRAY = np.array([0.05, 0.12, 0.25, 0.15, 0.04])
 """How far each shape strays from ray to ray: level, edge, what lies beyond the wall, seam, as parts of the edge's
 height, and shift, px."""
-LEAN = np.array([0.1, 0.12, 0.3, 0.15])
-"""How far each but the shift leans to one side of the rim: one sigma of the cosine's and of the sine's part."""
+LEAN = np.array([0.1, 0.09, 0.3, 0.15])
+"""How far each but the shift leans to one side of the rim beside what is expected: one sigma of the cosine's and of the
+sine's part."""
+WITH_LIGHT = np.array([0.0, 1.1, 0.5, 0.0])
+"""How each leans with the light, per relative change of the light from the tube's centre to its rim. Pictures tell it
+themselves where it is left open: the edge by 1.0 to 1.4, as its height is read off outside of the rim."""
+WITH_VIEW = np.array([0.2, 0.001, 1.0, 1.0])
+"""How far each may lean with the view in all tubes alike, one sigma, per tangent of the angle of view: weld beads throw
+the light back from the side that faces the lamp, and they, being raised, move with the view. The edge does not: where
+that is left open it is taken for depth."""
 HEIGHT = 0.2
 """How far a tube's edge differs from the height that its rays told one by one, as a part of it."""
 BEYOND, SEAM = 1.0, 0.5
@@ -41,7 +49,7 @@ OUTER_DOUBT = 0.7
 """By how many times the noise samples are in doubt, per edge width beyond one: welds and neighbours begin there."""
 LEAST_INFORMATION = 1e-9
 """Of the most: on large tubes the wall's outer edge lies beyond the samples, and its shapes are nothing."""
-SEAM_IN, SEAM_WIDTH = 0.2, 0.7
+SEAM_IN, SEAM_WIDTH = 0.2, 0.8
 """How far inside the wall's outer edge its seam lies, and how wide it is, in edge widths."""
 
 
@@ -66,6 +74,9 @@ class Shapes:
     prior, expected
         (2, BASIS, BASIS) information on the means and on each of the leans, before a tube is looked at; (BASIS,) that
         of the means times what is expected.
+    with_view, with_light
+        (BASIS, BASIS) information on how all tubes lean together with the view, and (BASIS,) how they do with the
+        light.
     """
 
     basis: NDArray[np.float64]
@@ -75,6 +86,8 @@ class Shapes:
     moved: NDArray[np.float64]
     prior: NDArray[np.float64]
     expected: NDArray[np.float64]
+    with_view: NDArray[np.float64]
+    with_light: NDArray[np.float64]
 
 
 def shapes_of(profile: EdgeProfile, wall_px: float) -> tuple[NDArray[np.float32], Shapes]:
@@ -95,7 +108,7 @@ def _shapes_of(profile: EdgeProfile, wall_px: float) -> tuple[NDArray[np.float32
 @compiled
 def _in_own_terms(
     T: Array, width: float, position: float, wall_px: float, on_means: Array
-) -> tuple[NDArray[np.float32], tuple[Array, Array, Array, Array, Array, Array, Array]]:
+) -> tuple[NDArray[np.float32], tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array]]:
     B, weight = _look_of_ray(T, width, position, wall_px)
     M = (B * weight) @ B.T
     information, Q = np.linalg.eigh(STRAY.reshape(-1, 1) * M * STRAY)
@@ -109,15 +122,19 @@ def _in_own_terms(
     for p in range(BASIS):  # where a ray is nothing but its edge
         edge[p] = (M[4, 4] * Q[1, p] / STRAY[1] - M[1, 4] * Q[4, p] / STRAY[4]) / det
         moved[p] = (M[1, 1] * Q[4, p] / STRAY[4] - M[1, 4] * Q[1, p] / STRAY[1]) / det
-    prior = np.zeros((2, BASIS, BASIS))
+    prior, with_view, with_light = np.zeros((2, BASIS, BASIS)), np.zeros((BASIS, BASIS)), np.zeros(BASIS)
     for k in range(BASIS):
         on_lean = LEAN[k] ** -2.0 if k < BASIS - 1 else 0.0
+        on_view = WITH_VIEW[k] ** -2.0 if k < BASIS - 1 else on_means[k]
         for p in range(BASIS):
+            with_light[p] += WITH_LIGHT[k] * Q[k, p] / STRAY[k] if k < BASIS - 1 else 0.0
             for q in range(BASIS):
+                with_view[p, q] += on_view * basis[k, p] * basis[k, q]
                 prior[0, p, q] += on_means[k] * basis[k, p] * basis[k, q]
                 prior[1, p, q] += on_lean * basis[k, p] * basis[k, q]
     first = basis.T @ np.ascontiguousarray(M[:, 0])
-    return functionals, (basis, information, first, edge, moved, prior, basis[1] * on_means[1])
+    expected = basis[1] * on_means[1]
+    return functionals, (basis, information, first, edge, moved, prior, expected, with_view, with_light)
 
 
 @compiled
