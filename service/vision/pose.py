@@ -45,6 +45,8 @@ MOST_OVERSTEP = 1.6
 """Most by which a step may be longer than one for constant weights."""
 MEDIAN_OF_TWO = 1.386
 """Median of chi-square with two degrees of freedom."""
+AS_ASSUMED = 10.0
+"""So many centres more are thought to stray by as much as they are assumed to, where the others stray by less."""
 
 
 @compiled
@@ -237,6 +239,12 @@ def _scale_of(m2: Array) -> float:
 
 
 @compiled
+def _unit_of(scale: float, n: int) -> float:
+    """Variance of unit weight that n centres' robust one makes likely: few of them may agree by chance."""
+    return max(scale, (n * scale + AS_ASSUMED) / (n + AS_ASSUMED))
+
+
+@compiled
 def _prior_cost(theta: Array, free: NDArray[np.int64], info: Array, mean: Array) -> float:
     cost = 0.0
     for p in range(free.shape[0]):
@@ -264,8 +272,8 @@ def damped_step(A: Array, b: Array, damping: float) -> Array:
 def _gauss_newton(
     theta: Array, kind: float, pitch_mm: Array, fold: float, R: Array, t: Array, sheet_mm: Array, z: Array, cov: Array,
     scatter2: float, height2: float, free: NDArray[np.int64], prior_info: Array, prior_mean: Array, iterations: int,
-) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, float, bool]:  # fmt: skip
-    """Solve robustly; gives theta, R, t, pivot, covariance, weight, info, px, J, scale, converged.
+) -> tuple[Array, Array, Array, Array, Array, Array, Array, Array, Array, float, float, bool]:  # fmt: skip
+    """Solve robustly; gives theta, R, t, pivot, covariance, weight, info, px, J, scale, unit, converged.
 
     Levenberg's damping steps in only where a step makes the robust cost grow.
     """
@@ -328,10 +336,12 @@ def _gauss_newton(
     scale = _scale_of(m2)
     _weigh(m2, scale, weight)
     _normal_equations(z, px, J, info, weight, index, A, b)
+    unit = _unit_of(scale, n)
+    A /= unit
     for p in range(k):
         for q in range(k):
             A[6 + p, 6 + q] += prior_info[p, q]
-    return theta, R, t, pivot, inverted(A) * max(1.0, scale), weight, info, px, J, scale, converged
+    return theta, R, t, pivot, inverted(A), weight, info, px, J, scale, unit, converged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -375,6 +385,8 @@ class Fit:
         (n, 2) measured minus predicted.
     scatter_factor
         By how much the tubes' places scatter more than assumed (standard deviations).
+    unit
+        Variance of unit weight: what the centres' assumed covariances were multiplied with.
     converged
         Whether the solution stood still at the end.
     gradient, information
@@ -390,6 +402,7 @@ class Fit:
     weight: NDArray[np.float64]
     residual_px: NDArray[np.float64]
     scatter_factor: float
+    unit: float
     converged: bool
     gradient: NDArray[np.float64]
     information: NDArray[np.float64]
@@ -414,7 +427,7 @@ class Fit:
         covariance = self.covariance + more
         _widen(
             self.gradient, self.information, self.weight, fields_px,
-            self.covariance / max(1.0, self.scatter_factor**2), covariance,
+            self.covariance / self.unit, covariance,
         )  # fmt: skip
         return replace(self, covariance=covariance)
 
@@ -529,7 +542,7 @@ def fit_pose(
     opencv = isinstance(camera.lens, OpenCVLens)
     lens_free = any(PARAMETERS.index(n) >= 5 for n in prior.names)
     fold = -1.0 if lens_free or not opencv else float(camera.vector()[10])
-    theta, R, t, pivot, covariance, weight, info, px, J, scale, converged = _gauss_newton(
+    theta, R, t, pivot, covariance, weight, info, px, J, scale, unit, converged = _gauss_newton(
         start, 1.0 if opencv else TSAI, np.array(camera.pixel_pitch_mm), fold,
         np.ascontiguousarray(rotation), np.ascontiguousarray(translation_mm), sheet_mm, center_px, covariance_px,
         lattice.scatter_mm**2, lattice.height_scatter_mm**2, free, known, prior.mean, iterations,
@@ -544,6 +557,7 @@ def fit_pose(
         weight=weight,
         residual_px=center_px - px,
         scatter_factor=math.sqrt(scale),
+        unit=unit,
         converged=converged,
         gradient=J[:, :, [*range(POSE), *(POSE + free)]] if len(free) else J,
         information=info,

@@ -25,16 +25,16 @@ __all__ = [
 DEPTH = 2
 """Which of the edges' common parts it is: behind shifts x and y, before the light."""
 
-BIAS_FLOOR, BIAS_NOISE = np.array([0.003, 0.003, 0.02, 0.3]), np.array([0.05, 0.05, 0.5, 0.0])
+BIAS_FLOOR, BIAS_NOISE = np.array([0.003, 0.003, 0.005, 0.2]), np.array([0.05, 0.05, 0.2, 0.0])
 """One sigma of what shifts all edges in common, measured on truth: x, y and depth in mm, light in `Rims.light_px`, at
 the least, and more per mm of the centres' usual noise."""
-BIAS_BLUR = 0.06
+BIAS_BLUR = 0.01
 """The same of the depth, per mm of the edges' width: weld beads stand before the rim or behind it, and blur mixes
 their parallax in."""
-LIT_WALL, MOST_LIT = 0.5, 2.0
+LIT_WALL, MOST_LIT = 0.12, 2.0
 """One sigma of a rim's apparent depth per mm of the edges' width where the bore is as bright over black as its edge is
 high, measured on truth; brighter bores than that many times tell no more."""
-SMOOTH = 0.04
+SMOOTH = 0.036
 """Size of the smooth fields that no residual shows, in edge widths: what light does to edges, measured on truth."""
 UNSEEN = 1e-3
 """Fields that the solution takes up all but this part of tell nothing."""
@@ -155,7 +155,7 @@ def smooth_misfit(fit: Fit, center_px: Array, shape: tuple[int, ...], width_px: 
     width_px
         The edges' width.
     """
-    scale = max(1.0, fit.scatter_factor**2)
+    scale = fit.unit
     seen, cross, pull = _smooth_sums(
         center_px, shape[1], shape[0], fit.information, fit.weight, fit.residual_px, fit.gradient
     )
