@@ -31,7 +31,7 @@ the least, and more per mm of the centres' usual noise."""
 BIAS_BLUR = 0.01
 """The same of the depth, per mm of the edges' width: weld beads stand before the rim or behind it, and blur mixes
 their parallax in."""
-LIT_WALL, MOST_LIT = 0.12, 2.0
+LIT_WALL, MOST_LIT = 0.25, 2.0
 """One sigma of a rim's apparent depth per mm of the edges' width where the bore is as bright over black as its edge is
 high, measured on truth; brighter bores than that many times tell no more."""
 SMOOTH = 0.036
@@ -45,7 +45,7 @@ class EdgeBias:
     """What light may do to all edges of a picture in common, and no residual of the pose shows.
 
     Lit bore walls and glints on weld beads move every edge alike, and outwards or inwards with the angle of view, just
-    as if all rims lay deeper. What the model of a rim leaves of it is declared, not found.
+    as if all rims lay deeper. What the model of a rim, with all its leans, leaves of it is declared, not found.
 
     Attributes
     ----------

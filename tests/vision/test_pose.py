@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from service.vision.camera import Camera, TsaiLens
 from service.vision.lattice import Arrangement, Lattice
@@ -41,3 +42,24 @@ def test_a_solution_may_start_with_most_points_behind_the_camera():
     fit = fit_pose(sheet, seen, covariance, camera, steep, np.array([0.0, 0, -30]), LATTICE, prior_of(camera))
     assert np.isfinite(fit.covariance).all()
     assert np.isfinite(fit.translation_mm).all()
+
+
+@pytest.mark.parametrize(
+    ("stray", "count", "least", "most"), [(0.5, 12, 0.5, 0.8), (0.5, 2, 0.7, 1.0), (2.0, 12, 1.7, 2.4)]
+)
+def test_sigmas_follow_how_far_centres_stray_but_few_centres_are_not_believed_to_stray_less(stray, count, least, most):
+    camera = Camera((640, 480), (0.005, 0.005), 6.4, TsaiLens(), (319.5, 239.5))
+    across = np.arange(-count / 2, count / 2 + 1) * LATTICE.pitch_mm
+    sheet = np.array([[x, y] for x in across for y in across])
+    T_far = np.array([0.0, 0.0, 700.0])
+    seen = project(camera.vector(), np.eye(3), T_far, sheet)
+    covariance = np.tile([0.3**2, 0.0, 0.3**2], (len(sheet), 1))
+    exact = fit_pose(sheet, seen, covariance, camera, np.eye(3), T_far, LATTICE, prior_of(camera))
+    known = np.linalg.inv(exact.covariance) * exact.unit
+    assumed_px = np.hypot(0.3, LATTICE.scatter_mm * 1280 / 700)
+    ratios = []
+    for seed in range(20):
+        away = np.random.default_rng(seed).normal(0, stray * assumed_px, seen.shape)
+        fit = fit_pose(sheet, seen + away, covariance, camera, np.eye(3), T_far, LATTICE, prior_of(camera))
+        ratios.append(np.sqrt(np.trace(fit.covariance @ known) / 6))
+    assert least < np.median(ratios) < most
