@@ -45,7 +45,7 @@ BEYOND, SEAM = 1.0, 0.5
 """One sigma of how much brighter or darker it is beyond the wall, and at its seam."""
 RADIUS_SIGMA = 9.0
 """How far, in edge widths, one tube's apparent radius strays from the picture's: as it likes."""
-OUTER_DOUBT = 0.7
+OUTER_DOUBT = 1.0
 """By how many times the noise samples are in doubt, per edge width beyond one: welds and neighbours begin there."""
 LEAST_INFORMATION = 1e-9
 """Of the most: on large tubes the wall's outer edge lies beyond the samples, and its shapes are nothing."""
