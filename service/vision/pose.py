@@ -336,12 +336,11 @@ def _gauss_newton(
     scale = _scale_of(m2)
     _weigh(m2, scale, weight)
     _normal_equations(z, px, J, info, weight, index, A, b)
-    unit = _unit_of(scale, n)
-    A /= unit
     for p in range(k):
         for q in range(k):
             A[6 + p, 6 + q] += prior_info[p, q]
-    return theta, R, t, pivot, inverted(A), weight, info, px, J, scale, unit, converged
+    unit = max(1.0, scale) if k else _unit_of(scale, n)  # an unknown camera explains away what centres stray
+    return theta, R, t, pivot, inverted(A) * unit, weight, info, px, J, scale, unit, converged
 
 
 @dataclass(frozen=True, slots=True, eq=False)
