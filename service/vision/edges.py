@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -64,6 +64,11 @@ class EdgeProfile:
     def offsets_px(self) -> NDArray[np.float64]:
         """Where rays are sampled, (SAMPLES,) px outwards of the nominal rim."""
         return np.asarray(self.position_px + self.width_px * GRID)
+
+    def narrowed(self, width_px: float) -> EdgeProfile:
+        """The same edge, sampled as a narrower one is."""
+        template = np.interp(self.position_px + width_px * GRID, self.offsets_px, self.template)
+        return replace(self, width_px=width_px, template=template)
 
 
 def start_profile(width_px: float = 1.2, position_px: float = 0.0) -> EdgeProfile:

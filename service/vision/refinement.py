@@ -12,7 +12,7 @@ from service.vision.compiled import compiled, median_in_place
 from service.vision.edges import EdgeProfile, start_profile
 from service.vision.pose import Fit, fit_pose, linearise
 from service.vision.projection import scale_of
-from service.vision.rims import Rims, accepted, measure_rims
+from service.vision.rims import Rims, accepted, measure_rims, px_per_mm
 from service.vision.sites import Sites, sites_in_picture
 from service.vision.states import tube_states
 from service.vision.systematics import Common, edge_bias, lit_walls, smooth_misfit
@@ -42,6 +42,8 @@ STEADY_WIDTH, NEAR_WIDTH = 0.93, 0.75
 few tubes."""
 NARROWING = 0.36
 """Most that the search narrows from pass to pass."""
+WIDEST = 0.3
+"""Width of an edge, of the rim's radius, beyond which rays would reach across the bore to its other side."""
 ON_ALL = 2
 """Passes, at the least, on all tubes, where the first are on a few."""
 LIKELY_WIDTH_PX = 1.2
@@ -183,7 +185,8 @@ def refine(
         sites, rims, used = looked
         as_before = before is not None and not afresh
         moved, settled = _moved_px(rims.shift_px, used), SETTLED if before is None else STILL_SETTLED
-        narrow = profile if as_before else _narrowed(rims.profile(), profile, moved)
+        widest = WIDEST * lattice.rim_radius_mm * px_per_mm(camera.vector(), rotation, translation_mm, sites.sheet_mm)
+        narrow = profile if as_before else _narrowed(rims.profile(), profile, moved, widest)
         steady = moved < settled * profile.width_px and narrow.width_px > STEADY_WIDTH * profile.width_px
         near = moved < STILL_SETTLED * profile.width_px and narrow.width_px > NEAR_WIDTH * profile.width_px
         on_all += few is None
@@ -268,8 +271,10 @@ def _solved(
     )  # fmt: skip
 
 
-def _narrowed(seen: EdgeProfile | None, before: EdgeProfile, moved_px: float) -> EdgeProfile:
+def _narrowed(seen: EdgeProfile | None, before: EdgeProfile, moved_px: float, widest_px: float) -> EdgeProfile:
     """The profile for the next pass: narrower in steps only, as the first passes' pose still strays."""
+    if seen is not None and seen.width_px > widest_px:
+        seen = seen.narrowed(widest_px)
     least = max(NARROWING * before.width_px, min(moved_px, before.width_px))
     if seen is None:
         return start_profile(max(least, min(before.width_px, LIKELY_WIDTH_PX)), before.position_px)

@@ -152,3 +152,11 @@ def test_even_light_and_a_clean_plate_are_measured_as_before():
     seen = view(look=replace(CLEAN, wall=0.0), pose=looking(12.0))
     e = errors_of(seen, seen.measure())
     assert np.sqrt(np.mean(e.measured_px**2)) < 0.04
+
+
+def test_a_profile_sampled_as_a_narrower_one_is_the_same_edge():
+    wide = EdgeProfile(0.4, 3.0, start_profile().template, learnt=True)
+    narrow = wide.narrowed(2.0)
+    assert (narrow.position_px, narrow.width_px, narrow.learnt) == (0.4, 2.0, True)
+    assert narrow.template == pytest.approx(np.interp(narrow.offsets_px, wide.offsets_px, wide.template))
+    assert narrow.template[0] > wide.template[0]
