@@ -216,7 +216,7 @@ def warm_up(tick: Callable[[], int]) -> None:
     for known, scale in ((camera, 1), (camera, 257), (unknown, 1)):
         measurer = Measurer(known, lattice, tick)
         seen: list[Measurement] = []
-        for k, picture in enumerate((standing, standing, standing, jumped)):
+        for k, picture in enumerate((standing, standing, standing, jumped, jumped)):
             pixels = picture if scale == 1 else picture.astype(np.uint16) * np.uint16(scale)
             seen += measurer.measure(pixels, k * USUAL_PERIOD_NS)
     calibrate([Keyframe.of(m, lattice, 0) for m in seen], unknown, lattice)

@@ -195,7 +195,7 @@ def refine(
                 *looked, narrow, image.shape, camera, lattice, prior, rotation, translation_mm, before, afresh, parity
             )
             watch.lap("pose")
-            if step == passes - 1 or refined.moved_px < at_rest * narrow.width_px:
+            if refined is None or step == passes - 1 or refined.moved_px < at_rest * narrow.width_px:
                 return refined
             fit, profile = refined.fit, narrow
             camera, rotation, translation_mm = fit.camera, fit.rotation, fit.translation_mm
@@ -242,8 +242,8 @@ def _solved(
     sites: Sites, rims: Rims, used: NDArray[np.bool_], profile: EdgeProfile, shape: tuple[int, ...], camera: Camera,
     lattice: Lattice, prior: Prior, rotation: Array, translation_mm: Array, before: Common | None, afresh: bool,
     parity: int | None,
-) -> Refined:  # fmt: skip
-    """The last solution, with what no residual shows of light and lens in its covariance."""
+) -> Refined | None:  # fmt: skip
+    """The last solution, with what no residual shows of light and lens in its covariance; None where there is none."""
     which = np.flatnonzero(used)
     looked_px, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
     scale = scale_of(place)
@@ -254,6 +254,8 @@ def _solved(
         sites.sheet_mm[which], rims.center_px[which], covariance[which], camera, rotation, translation_mm, lattice,
         prior,
     )  # fmt: skip
+    if not np.isfinite(fit.covariance).all():  # a pose that the tubes do not determine
+        return None
     predicted, place = projected(fit.camera, fit.rotation, fit.translation_mm, sites.sheet_mm)
     if before is None or afresh:
         misfit = smooth_misfit(fit, predicted[which], shape, profile.width_px)

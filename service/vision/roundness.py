@@ -42,14 +42,13 @@ def out_of_round(image: Image, refined: Refined, lattice: Lattice) -> float:
     scale = float(np.median(np.linalg.norm(place, axis=1)))
     radius_mm = lattice.rim_radius_mm + refined.common.profile.position_px / scale
     angle = 2 * np.pi * np.arange(DIRECTIONS) / DIRECTIONS
-    rays_mm = radius_mm * RADII[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])[:, None]
-    from_center = rays_mm.reshape(-1, 2) @ place.transpose(0, 2, 1)
-    points = (rims.center_px[order, None] + from_center).astype(np.float32)
-    whole = ((points >= 0) & (points <= np.array(image.shape[::-1]) - 1)).all(axis=(1, 2))
+    rays_mm = radius_mm * np.outer([np.cos(angle), np.sin(angle)], RADII).reshape(2, -1)
+    from_center = place[:, :, :1] * rays_mm[0] + place[:, :, 1:] * rays_mm[1]
+    points = (rims.center_px[order, :, None] + from_center).astype(np.float32)
+    whole = ((points >= 0) & (points <= np.array(image.shape[::-1])[:, None] - 1)).all(axis=(1, 2))
     if not whole.any():
         return 0.0
-    x, y = points[whole, :, 0], points[whole, :, 1]
-    seen = cv2.remap(image, x, y, cv2.INTER_LINEAR).reshape(-1, DIRECTIONS, len(RADII))
+    seen = cv2.remap(image, points[whole, 0], points[whole, 1], cv2.INTER_LINEAR).reshape(-1, DIRECTIONS, len(RADII))
     grey = seen + straightening(image) * np.square(seen, dtype=np.float64)
     bore, gain = (level[order][whole][:, None, None] for level in (rims.bore, rims.gain))
     dark = 1 - np.clip((grey - bore) / gain, 0.0, 1.0)

@@ -170,7 +170,7 @@ def test_a_pose_stays_as_it_was_where_too_few_tubes_show():
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "at_rest", "looks"), [(0.0, 0.05, 1), (0.1, 0.25, 1), (0.1, 0.05, 2), (0.3, 0.25, 2)]
+    ("turn_deg", "at_rest", "looks"), [(0.0, 0.05, 1), (0.05, 0.25, 1), (0.05, 0.05, 2), (0.2, 0.25, 2)]
 )
 def test_a_solution_far_from_where_rims_were_looked_for_is_looked_at_again(monkeypatch, turn_deg, at_rest, looks):
     """A turn about the picture's middle moves tubes to all sides: the median of their shifts says nothing of it."""
