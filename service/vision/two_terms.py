@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 
 from service.vision.camera import TsaiLens
-from service.vision.compiled import median_of
 from service.vision.edges import start_profile
 from service.vision.pose import fit_pose, prior_of
 from service.vision.refinement import refine
@@ -60,7 +59,7 @@ def with_two_terms(
         refined.sites.sheet_mm[used], refined.rims.center_px[used], refined.rims.covariance_px[used],
         replace(camera, lens=lens), fit.rotation, fit.translation_mm, lattice, prior,
     )  # fmt: skip
-    radius_px = lattice.rim_radius_mm * median_of(np.hypot(refined.place[:, 0, 0], refined.place[:, 0, 1]))
+    radius_px = lattice.rim_radius_mm * refined.scale
     other = refine(
         image, near.camera, lattice, prior, near.rotation, near.translation_mm, start_profile(width * radius_px),
         passes=passes, watch=watch, parity=parity,
