@@ -19,7 +19,12 @@ LIT = replace(NOMINAL, wall=0.05)
 """Bores lit so little that their walls do not hide what specks cost."""
 
 
-def _timed(takes: dict[str, Take], kind: type[Tracked], *, quick: bool) -> dict[str, Times]:
+def _by_itself(takes: dict[str, Take], kind: type[Tracked], *, quick: bool) -> dict[str, Times]:
+    """Times of one take after the other: a service has one camera, and its code and memory at hand."""
+    return {name: _in_turns({name: take}, kind, quick=quick)[name] for name, take in takes.items()}
+
+
+def _in_turns(takes: dict[str, Take], kind: type[Tracked], *, quick: bool) -> dict[str, Times]:
     """Times of every take, in turns; each goes its own way there and back, as a grabber hands it on."""
     grabbers = {name: Grabber(take) for name, take in takes.items()}
     calls = {name: kind(take).measure for name, take in takes.items()}
@@ -55,7 +60,7 @@ def stages(*, quick: bool) -> str:
     rows = []
     for mode, kind in (("tracked", Tracked), ("from nothing", Acquired)):
         shown = {name: take for name, take in takes.items() if kind is Tracked or "standing" not in name}
-        for name, times in _timed(shown, kind, quick=quick).items():
+        for name, times in _by_itself(shown, kind, quick=quick).items():
             parts = [m.elapsed_ms for _, m in times.results]
             laps = [float(np.median([p.get(stage, 0.0) for p in parts])) for stage in ("detect", "lattice", "pose")]
             rows.append([f"{name}, {mode}", *laps, times.median, times.p99, times.p99 / times.median])
@@ -65,14 +70,15 @@ def stages(*, quick: bool) -> str:
 
 def growth(*, quick: bool) -> str:
     """How the time of a tracked picture grows with tubes at equal pixels, and with pixels at equal tubes."""
-    count = 3 if quick else 16
+    count = 3 if quick else 24
     tubes = (50, 100) if quick else (50, 100, 200, 400, 800)
     sizes = ((320, 240), VGA) if quick else (VGA, (1280, 960), HD, (3840, 2160))
     with_tubes = {f"1280x960, {n} tubes": rendered("", (1280, 960), n, count=count) for n in tubes}
-    with_pixels = {f"{w}x{h}, 100 tubes": rendered("", (w, h), 100, count=min(count, 8)) for w, h in sizes}
+    standing = {f"{w}x{h}, 100 tubes, standing": rendered("", (w, h), 100, count=1) for w, h in sizes}
+    moving = {f"{w}x{h}, 100 tubes": rendered("", (w, h), 100, count=count) for w, h in sizes[:3]}
     rows = []
-    for takes in (with_tubes, with_pixels):
-        times = _timed(takes, Tracked, quick=quick)
+    for takes in (with_tubes, standing, moving):
+        times = _in_turns(takes, Tracked, quick=quick)
         first = next(iter(times.values())).median
         rows += [[name, takes[name].tubes, t.median, t.p99, t.median / first] for name, t in times.items()]
     return table(("", "tubes in view", "median ms", "p99 ms", "of the first"), rows)
