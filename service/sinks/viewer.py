@@ -108,11 +108,17 @@ class ViewerSink(ViewerStream):
 
     def _do_event(self, text: str, level: str) -> None:
         super()._do_event(text, level)
-        self._send()
+        self._begin_to_send()
 
     def _do_state(self, state: SourceState) -> None:
         super()._do_state(state)
-        self._send()
+        self._begin_to_send()
+
+    def _begin_to_send(self) -> None:
+        """Send what was drawn, without waiting for it: events may come by the hundred."""
+        assert self._stream is not None, "started"
+        with contextlib.suppress(RuntimeError):
+            self._stream.flush(timeout_sec=0.0)
 
     def _send(self) -> bool:
         """Wait until rerun has packed what was drawn; False where it has not in time, and is to get no more until then.

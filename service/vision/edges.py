@@ -48,12 +48,15 @@ class EdgeProfile:
         (SAMPLES,) mean profile at ``position_px + width_px * GRID``: 0 in the bore, 1 on the tube end.
     learnt
         Whether the picture told it; else it is a guess, wide enough to find the edges with.
+    blur_px
+        The width that it was told to have, before it was narrowed to what rays can look across.
     """
 
     position_px: float
     width_px: float
     template: NDArray[np.float64]
     learnt: bool
+    blur_px: float
 
     @property
     def overshot(self) -> float:
@@ -73,9 +76,8 @@ class EdgeProfile:
 
 def start_profile(width_px: float = 1.2, position_px: float = 0.0) -> EdgeProfile:
     """A blurred step, to begin with."""
-    return EdgeProfile(
-        position_px, width_px, np.array([0.5 * (1 + math.erf(x / math.sqrt(2))) for x in GRID]), learnt=False
-    )
+    step = np.array([0.5 * (1 + math.erf(x / math.sqrt(2))) for x in GRID])
+    return EdgeProfile(position_px, width_px, step, learnt=False, blur_px=width_px)
 
 
 def profile_of(
@@ -106,7 +108,7 @@ def profile_of(
     position = float(np.interp(half, np.arange(SAMPLES), offsets))
     width = FOOT_WIDTH * float(position - np.interp(foot, np.arange(SAMPLES), offsets))
     width = min(max(width, WIDTH_LIMITS_PX[0]), WIDTH_LIMITS_PX[1])
-    return EdgeProfile(position, width, np.interp(position + width * GRID, offsets, profile / top), learnt=True)
+    return EdgeProfile(position, width, np.interp(position + width * GRID, offsets, profile / top), True, width)
 
 
 @compiled

@@ -15,7 +15,7 @@ from service.vision.keyframes import Keyframe
 from service.vision.lattice import Arrangement, Lattice
 from service.vision.measurement import Doubt, Lock, Measurement, Tubes
 from service.vision.projection import project
-from service.vision.refinement import AT_REST
+from service.vision.refinement import AT_REST, WIDEST
 from service.vision.selfcalibration import calibrate
 from service.vision.staleness import CalibrationWatch
 from service.vision.stopwatch import Stopwatch
@@ -39,7 +39,8 @@ PARITY = {"top": 0, "bottom": 1}
 FRAME = -1
 UNSURE_SCALE = 0.02
 BLURRED, BLURRED_PX = 0.2, 2.5
-"""Edges wider than this share of a rim's radius, and than so many px, are out of focus."""
+"""Edges wider than this share of a rim's radius, and than so many px, are out of focus; so are all that are wider than
+rays can look across."""
 DIM_SHARE = 0.25
 STALE = 2.0
 """Centres that stray twice as far as they and the tubes' scatter explain speak against the calibration."""
@@ -70,7 +71,7 @@ class Measurer:
 
     def reset(self) -> None:
         """Forget what earlier pictures showed."""
-        self._tracker = Tracker(self._camera, self._lattice, self._at_rest)
+        self._tracker = Tracker(self._camera, self._lattice)
         self._calibration = CalibrationWatch(self._camera, self._lattice)
         self._interlace = Interlace()
         self._time_ns: int | None = None
@@ -178,7 +179,7 @@ class Measurer:
     ) -> Measurement:
         """Measure one picture and say what is known of it; `learn`: put it into the map of places."""
         watch = Stopwatch(self._tick)
-        found = self._tracker.step(image, parity, time_ns, watch)
+        found = self._tracker.step(image, parity, time_ns, watch, self._at_rest)
         if seen is not None:
             seen[FRAME if parity is None else parity] = found
         name = "progressive" if parity is None else ("top", "bottom")[parity]
@@ -200,7 +201,7 @@ def doubts(seen: Seen, refined: Refined, pose: Pose, lattice: Lattice, stale: bo
     found = {
         Doubt.INDEX: seen.index_in_doubt,
         Doubt.SCALE: pose.sigma.distance_mm > UNSURE_SCALE * pose.distance_mm,
-        Doubt.FOCUS: refined.common.profile.width_px > max(BLURRED * radius, BLURRED_PX),
+        Doubt.FOCUS: refined.common.profile.blur_px > min(max(BLURRED * radius, BLURRED_PX), WIDEST * radius),
         Doubt.LIGHT: refined.share < DIM_SHARE,
         Doubt.CALIBRATION: stale or refined.fit.scatter_factor > STALE,
     }

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     Array: TypeAlias = NDArray[np.float64]
     Image: TypeAlias = NDArray[np.uint8] | NDArray[np.uint16]
 
-__all__ = ["AT_REST", "Refined", "projected", "refine"]
+__all__ = ["AT_REST", "WIDEST", "Refined", "projected", "refine"]
 
 LEAST_TUBES = 6
 """Fewer measured tubes do not make a pose worth telling."""
@@ -37,6 +37,8 @@ SETTLED, STILL_SETTLED = 0.05, 0.15
 is known from the picture before, so that a shift is all that there is to find."""
 AT_REST = 0.25
 """Edge widths that a solution may lie from where rims were looked for, rms: shifts are told a few per cent short."""
+RESTLESS = 1.0
+"""The same for a solution that is still moving after the last pass: one that swings farther is none."""
 STEADY_WIDTH, NEAR_WIDTH = 0.93, 0.75
 """Least part of a profile's width that the next one may have, for a pass to be the last; and for it to be the last on a
 few tubes."""
@@ -44,6 +46,8 @@ NARROWING = 0.36
 """Most that the search narrows from pass to pass."""
 WIDEST = 0.3
 """Width of an edge, of the rim's radius, beyond which rays would reach across the bore to its other side."""
+SOFT = 0.15
+"""Width of an edge, of the rim's radius, from which lit walls and what lies beyond reach into it by more and more."""
 ON_ALL = 2
 """Passes, at the least, on all tubes, where the first are on a few."""
 LIKELY_WIDTH_PX = 1.2
@@ -195,8 +199,10 @@ def refine(
                 *looked, narrow, image.shape, camera, lattice, prior, rotation, translation_mm, before, afresh, parity
             )
             watch.lap("pose")
-            if refined is None or step == passes - 1 or refined.moved_px < at_rest * narrow.width_px:
+            if refined is None or refined.moved_px < at_rest * narrow.width_px:
                 return refined
+            if step == passes - 1:
+                return refined if refined.moved_px < RESTLESS * narrow.width_px else None
             fit, profile = refined.fit, narrow
             camera, rotation, translation_mm = fit.camera, fit.rotation, fit.translation_mm
             continue
@@ -248,7 +254,8 @@ def _solved(
     looked_px, place = projected(camera, rotation, translation_mm, sites.sheet_mm)
     scale = scale_of(place)
     bias = edge_bias(rims.covariance_px[which], scale, profile.width_px)
-    lit, covariance = lit_walls(rims.gain, rims.bore, rims.covariance_px, place, scale, profile.width_px)
+    soft = max(1.0, profile.blur_px / (SOFT * lattice.rim_radius_mm * scale))
+    lit, covariance = lit_walls(rims.gain, rims.bore, rims.covariance_px, place, scale, soft * profile.width_px)
     rims = replace(rims, covariance_px=covariance)
     fit = fit_pose(
         sites.sheet_mm[which], rims.center_px[which], covariance[which], camera, rotation, translation_mm, lattice,

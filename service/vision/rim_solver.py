@@ -4,8 +4,8 @@ Unknowns are the mean, cosine's and sine's part of each of the `shapes`, fifteen
 covariance ``s^2 W^-1 + B S B^T``: noise, and shapes that stray. In the terms of `Shapes`, what a ray's numbers tell of
 its coefficients is then diagonal: ``L / (s^2 + L)``.
 
-How far a tube's shapes are expected to lean is not nothing: with the light, as the neighbours tell it, and with the
-view, as all tubes of the picture tell it together.
+How far a tube's shapes are expected to lean is not nothing: with the light and with the view, as all tubes
+of the picture tell it together.
 
 The last axis of every array is the tubes', and each loop over it does one thing: so that a processor which adds and
 multiplies many numbers at a time can. Sums are kept in single precision, as grey values are, equations in double.
@@ -203,10 +203,11 @@ def _equations(
     for p in range(BASIS):
         for i in range(n):
             x[p, i] = sums[6 + p, i] * straying[p, i] + expected[p]
-        for h in range(3):
-            for i in range(n if h else 0):
+        for h in (1, 2):
+            for i in range(n):
                 of_rays = sums[6 + h * BASIS + p, i] * straying[p, i]
                 x[h * BASIS + p, i] = of_rays + by_view[p] * view[h - 1, i] + by_light[p] * light[h - 1, i]
+        for h in range(3):
             for g in range(h + 1):
                 for q in range(BASIS):
                     A[h * BASIS + p, g * BASIS + q] = prior[min(h, 1), p, q] if g == h else 0.0

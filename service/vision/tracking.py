@@ -96,12 +96,10 @@ class Tracker:
     ----------
     camera
         The full frame's camera, as far as it is known.
-    at_rest
-        As in `refine`.
     """
 
-    def __init__(self, camera: Camera, lattice: Lattice, at_rest: float = AT_REST) -> None:
-        self.camera, self.lattice, self._at_rest = camera, lattice, at_rest
+    def __init__(self, camera: Camera, lattice: Lattice) -> None:
+        self.camera, self.lattice = camera, lattice
         self.motion: Motion | None = None
         self._working = WorkingCamera.of(camera, lattice)
         self._common: Common | None = None
@@ -125,7 +123,7 @@ class Tracker:
         speed = float(np.hypot(*self.motion.speed_mm_per_s[:2]))
         return speed * period_ns * 1e-9 * float(self._working.camera.vector()[0]) / depth
 
-    def step(self, image: Image, parity: int | None, time_ns: int, watch: Stopwatch) -> Seen:
+    def step(self, image: Image, parity: int | None, time_ns: int, watch: Stopwatch, at_rest: float = AT_REST) -> Seen:
         """Measure one picture: track, else search nearby, else acquire. What it shows is put into the map by `learn`.
 
         Parameters
@@ -134,10 +132,12 @@ class Tracker:
             (h, w) grey, C-contiguous: a frame, or one field of it.
         parity
             0 for the top field, 1 for the bottom one, None for a frame.
+        at_rest
+            As in `refine`, for what is tracked.
         """
         known = self.camera if parity is None else self.camera.of_field(parity)
         start = self._working.camera if parity is None else self._working.camera.of_field(parity)
-        seen = self._track(image, known, start, parity, time_ns, watch)
+        seen = self._track(image, known, start, parity, time_ns, watch, at_rest)
         if seen is None:
             seen = self._acquire(image, known, parity, time_ns, watch)
         if seen.refined is None:
@@ -216,8 +216,9 @@ class Tracker:
             self._map.learn(refined)
 
     def _track(
-        self, image: Image, known: Camera, start: Camera, parity: int | None, time_ns: int, watch: Stopwatch
-    ) -> Seen | None:
+        self, image: Image, known: Camera, start: Camera, parity: int | None, time_ns: int, watch: Stopwatch,
+        at_rest: float,
+    ) -> Seen | None:  # fmt: skip
         """Measure about the predicted pose, then about the best shift of it; None where the sheet is not there."""
         if self.motion is None or self._common is None or self._radius_px is None:
             return None
@@ -230,7 +231,7 @@ class Tracker:
             watch.lap("detect")
         refined = refine(
             image, start, self.lattice, prior, rotation, translation, self._common.profile, passes=TRACK_PASSES,
-            watch=watch, before=self._common, afresh=self._pictures % AFRESH == 0, parity=parity, at_rest=self._at_rest,
+            watch=watch, before=self._common, afresh=self._pictures % AFRESH == 0, parity=parity, at_rest=at_rest,
         )  # fmt: skip
         if not self._holds(refined):
             rotation, translation = predicted

@@ -9,6 +9,7 @@ import pytest
 from drivers.scene import CLEAN, NOMINAL
 from service.vision.edges import EdgeProfile, start_profile
 from service.vision.light import light_slopes
+from service.vision.measurement import Doubt, Lock
 from service.vision.rays import BASIS, ENERGY, NUMBERS, Rays
 from service.vision.rim_levels import FIGURES, SHIFT, levels
 from service.vision.rim_solver import solve
@@ -155,8 +156,15 @@ def test_even_light_and_a_clean_plate_are_measured_as_before():
 
 
 def test_a_profile_sampled_as_a_narrower_one_is_the_same_edge():
-    wide = EdgeProfile(0.4, 3.0, start_profile().template, learnt=True)
+    wide = EdgeProfile(0.4, 3.0, start_profile().template, learnt=True, blur_px=3.0)
     narrow = wide.narrowed(2.0)
     assert (narrow.position_px, narrow.width_px, narrow.learnt) == (0.4, 2.0, True)
     assert narrow.template == pytest.approx(np.interp(narrow.offsets_px, wide.offsets_px, wide.template))
     assert narrow.template[0] > wide.template[0]
+
+
+def test_tubes_too_small_to_look_across_their_blurred_edges_are_out_of_focus():
+    """Their edge is taken for narrower than it is: that must not hide how blurred it was."""
+    seen = view(look=replace(CLEAN, blur_px=3.0), size_px=(320, 240), pitch_px=22.0)
+    told = seen.measure()
+    assert told.lock is Lock.NONE or Doubt.FOCUS in told.doubt

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Memory"]
 
-VERSION: Final = 1
+VERSION: Final = 2
 OURS: Final = ("service.vision.", "service.identity.", "service.alignment.", "service.config.", "drivers.frame")
 PLAIN: Final = (bool, int, str, type(None))
 

@@ -104,7 +104,7 @@ def test_what_is_of_another_kind_is_refused(value):
     ],
 )
 def test_what_a_file_should_not_have_is_not_made(made):
-    tree = json.dumps({"version": 1, "values": {"dict": [["value", made]]}})
+    tree = json.dumps({"version": 2, "values": {"dict": [["value", made]]}})
     with pytest.raises(ConfigError, match="cannot be read"):
         Memory(tree, ()).values()
 
@@ -114,7 +114,7 @@ def test_a_file_that_is_none_or_of_a_later_version_is_refused():
     for data in (b"", b"PK", whole[:100]):
         with pytest.raises(ConfigError):
             Memory.from_bytes(data)
-    with pytest.raises(ConfigError, match="version 2"):
-        Memory('{"version": 2, "values": {}}', ()).values()
+    with pytest.raises(ConfigError, match="version 3"):
+        Memory('{"version": 3, "values": {}}', ()).values()
     with pytest.raises(ConfigError):
         Memory.none().values()
