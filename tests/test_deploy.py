@@ -5,9 +5,9 @@ import re
 from pathlib import Path
 
 from drivers import access
-from service.acquisition.precedence import NICE
 from service.cli.parser import parse
 from service.config.shipped import shipped_config
+from service.precedence import FIRST
 
 UNIT = shipped_config("deploy/bowlsight.service")
 RULES = shipped_config("deploy/70-bowlsight.rules")
@@ -34,7 +34,7 @@ def test_the_unit_starts_a_command_that_there_is_and_is_watched():
 
 
 def test_the_unit_lets_capture_and_measuring_go_first():
-    assert int(unit()["Service"]["LimitNICE"]) == NICE
+    assert int(unit()["Service"]["LimitNICE"]) == FIRST
 
 
 def test_the_unit_allows_the_devices_that_the_drivers_open():

@@ -20,10 +20,10 @@ from drivers.errors import (
 from service.acquisition.content import NO_SIGNAL_WORDS, frozen, no_picture
 from service.acquisition.health import AcquisitionState
 from service.acquisition.ladder import Rung
-from service.acquisition.precedence import go_first
 from service.acquisition.tell import Tell
 from service.acquisition.watchdog import is_stalled, silence_limit_s
 from service.config.supervision import SupervisionSettings
+from service.precedence import go_first
 
 if TYPE_CHECKING:
     from drivers.frame import Frame

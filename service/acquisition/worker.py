@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from service.acquisition.health import Rate, Window
 from service.acquisition.ledger import Outcome
-from service.acquisition.precedence import go_first
 from service.acquisition.repeated import RepeatedLog
+from service.precedence import go_first
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import os
-import threading
 import time
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -12,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from drivers.errors import ConfigError
 from service.config.calibration import write_calibration
+from service.precedence import go_last
 from service.sinks.queued import QueuedSink
 from service.vision.advice import missing
 from service.vision.calibration_report import brief
@@ -33,8 +31,6 @@ if TYPE_CHECKING:
 __all__ = ["CalibrationSink"]
 
 CAPACITY = 4
-NICE = 15
-"""Of its thread: calibrating waits for everything else."""
 FEWEST, MORE, PAUSE_S = 4, 1.2, 5.0
 """It is solved with so many pictures; again with so many times more, and not sooner."""
 BETTER = 0.8
@@ -111,7 +107,7 @@ class CalibrationSink(QueuedSink):
         if self._collector is None:
             if pose is None:
                 return None
-            _give_way()
+            go_last()  # calibrating waits for everything else
             camera = self._camera or replace(assumed_camera(pose.camera.image_size_px), sx=None)
             if self._focal_length_mm is not None:
                 camera = camera.with_focal_length(*self._focal_length_mm)
@@ -147,9 +143,3 @@ class CalibrationSink(QueuedSink):
         self._told = sigma, lacking.remedy
         written = "" if self._out is None else f"; {self._out.name} is written"
         self._say(f"calibration: {self.progress}{written}", "INFO")
-
-
-def _give_way() -> None:
-    """Let this thread run when no other wants to; where the system knows no such thing, as any other."""
-    with contextlib.suppress(OSError, AttributeError):
-        os.setpriority(os.PRIO_PROCESS, threading.get_native_id(), NICE)  # Linux: of a thread

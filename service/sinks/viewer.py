@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import logging
-import os
 import shlex
 import sysconfig
-import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.errors import ConfigError
+from service.precedence import go_between
 from service.sinks.ports import falls_silent, free_port, is_loopback, listens
 from service.sinks.quiet_rerun import rr
 from service.sinks.viewer_pace import Pace
@@ -166,14 +165,8 @@ class ViewerSink(ViewerStream):
 def _in_the_background(start: Callable[[], None]) -> None:
     """Call `start` so that the threads which it starts run only when no other wants to.
 
-    Packing 1920x1080 60 times a second takes rerun a third of a core: beside measuring, not before it. The system gives
-    its rank to a thread's own threads, and takes no rank back that was given up: hence a thread for this alone.
+    Rerun packs every picture, which takes a good part of a core: beside measuring, not before it. The system gives a
+    thread's rank to those that it starts, and takes no rank back that was given up: hence a thread for this alone.
     """
-    with ThreadPoolExecutor(1, "bowlsight-viewer-start", initializer=_give_way) as thread:
+    with ThreadPoolExecutor(1, "bowlsight-viewer-start", initializer=go_between) as thread:
         thread.submit(start).result()
-
-
-def _give_way() -> None:
-    """Let this thread run when no other wants to; where the system knows no such thing, as any other."""
-    with contextlib.suppress(OSError, AttributeError):
-        os.sched_setscheduler(threading.get_native_id(), os.SCHED_IDLE, os.sched_param(0))

@@ -13,7 +13,7 @@ import numpy as np
 
 from service.vision.compiled import compiled, median_in_place
 from service.vision.edges import SAMPLES, start_profile
-from service.vision.pose import MEDIAN_OF_TWO, TUKEY, damped_step, linearise, turned
+from service.vision.pose import MEDIAN_OF_TWO, POSE, damped_step, linearise, normal_equations, turned, weigh
 from service.vision.rays import NUMBERS, circle_of, pairs_of, sample, straightening
 from service.vision.rim_levels import COVERED, FIGURES, RADIUS, SHIFT, STRENGTH, levels
 from service.vision.rim_search import REACH, find
@@ -45,7 +45,7 @@ NEAR, BROAD = 1.3, 2.0
 WELL_WITHIN = 0.6
 """Edge widths off from which one step brings tubes to where they count as settled."""
 ACROSS, DOWN = 6, 4
-"""Parts of the picture that have a guide each: a pose from so many tubes is good to a tenth px."""
+"""Parts of the picture that have a guide each."""
 REWEIGHTS = 3
 LEAST_STRAY_PX = 0.02
 """Tubes never agree better than that on where the pose goes."""
@@ -114,7 +114,7 @@ def _step(
     circle: Array, offsets: Array, functionals: Single, first: Array, edge: Array, moved: Array, width: float,
     overshot: float, turn: Array, translation: Array,
 ) -> tuple[int, float]:  # fmt: skip
-    """One step, into `turn` and `translation`; gives how many tubes told it, and how far off they lay."""
+    """One step, into `turn` and `translation`; gives how many tubes told it, and how far it went, rms px."""
     n, count = guides.shape[0], circle.shape[1]
     numbers, direction = np.empty((NUMBERS, count, n), np.float32), np.empty((2, count, n), np.float32)
     valid, center, mean = np.empty((count, n), np.float32), np.empty((n, 2)), np.empty((n, SAMPLES))
@@ -145,24 +145,29 @@ def _follow(
     Gives how far it shifts all of them, rms px.
     """
     n = guides.shape[0]
-    px, J, place = np.empty((n, 2)), np.empty((n, 2, 6)), np.empty((n, 2, 3))
+    px, J, place = np.empty((n, 2)), np.empty((n, 2, POSE)), np.empty((n, 2, 3))
     middle = np.zeros(2)
     for i in range(n):
         middle += guides[i] / n
     pivot = R[:, 0] * middle[0] + R[:, 1] * middle[1] + t
-    linearise(v, 1.0, 1.0, R, t, pivot, guides, 6, px, J, place)
-    x, weight, squares = np.zeros(6), used.astype(np.float64), np.empty(n)
-    for _ in range(REWEIGHTS):
-        A, b = np.zeros((6, 6)), np.zeros(6)
-        for i in range(n):
-            for p in range(6):
-                gx, gy = weight[i] * J[i, 0, p], weight[i] * J[i, 1, p]
-                b[p] += gx * shift[i, 0] + gy * shift[i, 1]
-                for q in range(6):
-                    A[p, q] += gx * J[i, 0, q] + gy * J[i, 1, q]
+    linearise(v, 1.0, 1.0, R, t, pivot, guides, POSE, px, J, place)
+    A, b, x, squares, seen = np.empty((POSE, POSE)), np.empty(POSE), np.zeros(POSE), np.empty(n), np.empty(n)
+    weight, columns, information = used.astype(np.float64), np.arange(POSE), np.ones((n, 3))
+    information[:, 1] = 0.0
+    for step in range(REWEIGHTS):
+        normal_equations(px + shift, px, J, information, weight, columns, A, b)
         x = damped_step(A, b, 0.0)
+        if step == REWEIGHTS - 1:
+            break
         _left(J, x, shift, squares)
-        _reweigh(squares, used, weight)
+        m = 0
+        for i in range(n):
+            if used[i]:
+                seen[m] = squares[i]
+                m += 1
+            else:
+                squares[i] = np.inf
+        weigh(squares, median_in_place(seen, m) / MEDIAN_OF_TWO + LEAST_STRAY_PX * LEAST_STRAY_PX, weight)
     turn[:] = turned(R, x[:3])
     translation[:] = (turn @ R.T) @ (t - pivot) + pivot + x[3:6]
     _left(J, x, np.zeros((n, 2)), squares)
@@ -176,19 +181,6 @@ def _left(J: Array, x: Array, shift: Array, squares: Array) -> None:
         squares[i] = 0.0
         for k in range(2):
             off = shift[i, k]
-            for p in range(6):
+            for p in range(POSE):
                 off -= J[i, k, p] * x[p]
             squares[i] += off * off
-
-
-@compiled
-def _reweigh(squares: Array, used: NDArray[np.bool_], weight: Array) -> None:
-    """Tukey's weights of the used tubes."""
-    seen, m = np.empty(squares.shape[0]), 0
-    for i in range(squares.shape[0]):
-        if used[i]:
-            seen[m] = squares[i]
-            m += 1
-    cut = TUKEY * TUKEY * (median_in_place(seen, m) / MEDIAN_OF_TWO + LEAST_STRAY_PX * LEAST_STRAY_PX)
-    for i in range(squares.shape[0]):
-        weight[i] = max(1.0 - squares[i] / cut, 0.0) ** 2 if used[i] else 0.0

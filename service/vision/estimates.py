@@ -65,16 +65,9 @@ def _pose(refined: Refined, lattice: Lattice, camera: Camera, parity: int | None
     R, t = fit.rotation, fit.translation_mm
     out = np.empty(5)
     covariance = _pose_figures(
-        fit.covariance,
-        refined.common.bias.covariance,
-        R,
-        t,
-        fit.pivot_mm,
-        fit.camera.vector(),
-        fit.residual_px,
-        fit.weight,
-        out,
-    )
+        fit.covariance, refined.common.bias.covariance, R, t, fit.pivot_mm, fit.camera.vector(), fit.residual_px,
+        fit.weight, out,
+    )  # fmt: skip
     distance = float(R[:, 2] @ t)
     pitch = distance * lattice.pitch_sigma_mm / lattice.pitch_mm
     k = 6 + fit.names.index("focal_length_mm") if "focal_length_mm" in fit.names else None

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
     Array: TypeAlias = NDArray[np.float64]
 
 __all__ = [
-    "MEDIAN_OF_TWO", "NO_PRIOR", "PARAMETERS", "POSE", "TUKEY", "Fit", "Prior", "camera_with", "damped_step",
-    "fit_pose", "linearise", "pose_from_plane", "prior_of", "turned",
+    "MEDIAN_OF_TWO", "NO_PRIOR", "PARAMETERS", "POSE", "Fit", "Prior", "camera_with", "damped_step",
+    "fit_pose", "linearise", "normal_equations", "pose_from_plane", "prior_of", "turned", "weigh",
 ]  # fmt: skip
 
 POSE = 6
@@ -176,9 +176,10 @@ def _distances(
 
 
 @compiled
-def _normal_equations(
+def normal_equations(
     z: Array, px: Array, J: Array, info: Array, weight: Array, columns: NDArray[np.int64], A: Array, b: Array
 ) -> None:
+    """Normal equations of the centres `z`, (n, 2), about their predictions, into `A` and `b`."""
     m = columns.shape[0]
     A[:] = 0.0
     b[:] = 0.0
@@ -199,7 +200,7 @@ def _normal_equations(
 
 
 @compiled
-def _weigh(m2: Array, scale: float, weight: Array) -> float:
+def weigh(m2: Array, scale: float, weight: Array) -> float:
     """Tukey's weights of Mahalanobis distances; gives the robust cost."""
     cut = scale * TUKEY * TUKEY
     cost = 0.0
@@ -296,8 +297,8 @@ def _gauss_newton(
     _distances(z, cov, px, place, scatter2, height2, m2, info)
     for _ in range(iterations):
         scale = _scale_of(m2)
-        cost = _weigh(m2, scale, weight) + _prior_cost(theta, free, prior_info, prior_mean)
-        _normal_equations(z, px, J, info, weight, index, A, b)
+        cost = weigh(m2, scale, weight) + _prior_cost(theta, free, prior_info, prior_mean)
+        normal_equations(z, px, J, info, weight, index, A, b)
         for p in range(k):
             for q in range(k):
                 A[6 + p, 6 + q] += prior_info[p, q]
@@ -317,7 +318,7 @@ def _gauss_newton(
             _vector(trial, kind, pitch_mm, fold, v)
             linearise(v, trial[0], trial[1], Q, tn, turned_pivot, sheet_mm, columns, px, J, place)
             _distances(z, cov, px, place, scatter2, height2, m2, info)
-            new = _weigh(m2, scale, weight) + _prior_cost(trial, free, prior_info, prior_mean)
+            new = weigh(m2, scale, weight) + _prior_cost(trial, free, prior_info, prior_mean)
             if new <= cost * (1.0 + 1e-9) and _most_have_an_image(px):
                 better = True
                 break
@@ -334,8 +335,8 @@ def _gauss_newton(
             converged = True
             break
     scale = _scale_of(m2)
-    _weigh(m2, scale, weight)
-    _normal_equations(z, px, J, info, weight, index, A, b)
+    weigh(m2, scale, weight)
+    normal_equations(z, px, J, info, weight, index, A, b)
     for p in range(k):
         for q in range(k):
             A[6 + p, 6 + q] += prior_info[p, q]

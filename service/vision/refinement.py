@@ -189,8 +189,10 @@ def refine(
         sites, rims, used = looked
         as_before = before is not None and not afresh
         moved, settled = _moved_px(rims.shift_px, used), SETTLED if before is None else STILL_SETTLED
-        widest = WIDEST * lattice.rim_radius_mm * px_per_mm(camera.vector(), rotation, translation_mm, sites.sheet_mm)
-        narrow = profile if as_before else _narrowed(rims.profile(), profile, moved, widest)
+        narrow = profile
+        if not as_before:
+            scale = px_per_mm(camera.vector(), rotation, translation_mm, sites.sheet_mm)
+            narrow = _narrowed(rims.profile(), profile, moved, WIDEST * lattice.rim_radius_mm * scale)
         steady = moved < settled * profile.width_px and narrow.width_px > STEADY_WIDTH * profile.width_px
         near = moved < STILL_SETTLED * profile.width_px and narrow.width_px > NEAR_WIDTH * profile.width_px
         on_all += few is None

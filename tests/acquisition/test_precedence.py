@@ -4,7 +4,7 @@ import threading
 import pytest
 
 from service.acquisition.live import LiveService
-from service.acquisition.precedence import NICE, go_first
+from service.precedence import FIRST, go_first
 from tests.fakes.scripted import PATIENCE_S, FakeMeasurer, ScriptedGrabber
 
 
@@ -19,7 +19,7 @@ def test_a_thread_asks_to_go_first_and_goes_on_where_it_may_not(monkeypatch, all
 
     monkeypatch.setattr(os, "setpriority", setpriority)
     go_first()
-    assert asked == [(os.PRIO_PROCESS, threading.get_native_id(), NICE)]
+    assert asked == [(os.PRIO_PROCESS, threading.get_native_id(), FIRST)]
 
 
 def test_the_two_threads_that_frames_wait_for_ask(monkeypatch):

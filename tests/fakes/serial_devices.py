@@ -6,6 +6,7 @@ import select
 import socket
 import threading
 import tty
+from abc import ABC, abstractmethod
 from pathlib import Path
 
 import serial
@@ -71,7 +72,7 @@ def nibbles(number):
     return bytes(int(digit, 16) for digit in f"{number:04x}")
 
 
-class Served:
+class Served(ABC):
     """Whatever a thread serves until it is told to end."""
 
     def __init__(self, device):
@@ -94,8 +95,9 @@ class Served:
         self._wake.close()
         self._bell.close()
 
+    @abstractmethod
     def _run(self):
-        raise NotImplementedError
+        """Serve until the bell rings, in the thread."""
 
 
 class PtyLine(Served):

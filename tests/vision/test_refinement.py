@@ -194,3 +194,18 @@ def test_a_solution_far_from_where_rims_were_looked_for_is_looked_at_again(monke
     )  # fmt: skip
     assert len(looked) == looks
     assert again.moved_px < at_rest * again.common.profile.width_px
+
+
+@pytest.mark.parametrize(("turn_deg", "there"), [(0.1, True), (0.6, False)])
+def test_a_solution_that_is_far_from_where_it_was_looked_for_to_the_last_is_none(turn_deg, there):
+    seen = view(look=REAL)
+    start = refine(
+        seen.image, seen.camera, seen.lattice, NO_PRIOR, seen.rotation, seen.translation_mm, start_profile(1.0),
+        passes=10, watch=Stopwatch(lambda: 0),
+    )  # fmt: skip
+    turned = cv2.Rodrigues(np.radians([0.0, 0.0, turn_deg]))[0] @ start.fit.rotation
+    again = refine(
+        seen.image, seen.camera, seen.lattice, NO_PRIOR, np.ascontiguousarray(turned), start.fit.translation_mm,
+        start.common.profile, passes=1, watch=Stopwatch(lambda: 0),
+    )  # fmt: skip
+    assert (again is not None) == there
