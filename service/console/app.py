@@ -175,7 +175,8 @@ class WebApp:
                 return _error(400, str(error))
             except RefusedError as error:
                 return _error(409, str(error))
-            return JSONResponse({} if done is None else done)
+            now_ms = self._clock.monotonic_ns() / 1e6  # pictures grabbed from now on show what was done
+            return JSONResponse({**({} if done is None else done), "now_ms": now_ms})
 
         return answer
 

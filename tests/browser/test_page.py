@@ -155,6 +155,15 @@ def test_the_keyboard_does_all_that_the_mouse_does(open_page):
     page.wait("!document.getElementById('help').open")
 
 
+def test_moves_pressed_before_the_picture_shows_the_last_one_go_on_from_there(open_page):
+    page = open_page(aligner=aligner_at(0.6, 0.0))
+    page.click(*at_tube(page, 0, -1))
+    for key in ("ArrowRight", "ArrowRight", "ArrowUp"):
+        page.key(key)
+    page.wait("document.getElementById('tube').innerText === 'row -1, column 1'")
+    assert page.station.operations.target.place == (-1, 1)
+
+
 def test_a_wrong_name_is_refused_in_the_dialog_in_words(open_page):
     page = open_page()
     page.key("t")

@@ -269,7 +269,7 @@ def test_recording_marks_and_verifications_reach_the_recorder(serve):
     refused = client.post("/api/mark", json={"text": "acquisition"})
     assert refused.status_code == 409
     assert "start recording first" in refused.json()["error"]
-    assert client.post("/api/recording", json={"on": True}).json() == {"folder": "/sessions/one"}
+    assert client.post("/api/recording", json={"on": True}).json()["folder"] == "/sessions/one"
     assert client.post("/api/recording", json={"on": True}).status_code == 409
     assert client.post("/api/mark", json={"text": "acquisition", "operator": "A"}).json()["number"] == 0
     said = client.post("/api/verify", json={"claim": "row 3 col 5", "operator": "A", "reason": "drawing 7"}).json()
@@ -277,7 +277,14 @@ def test_recording_marks_and_verifications_reach_the_recorder(serve):
     assert "secret" not in said
     assert client.station.recorder.asked == [("mark", "acquisition", "A"), ("verify", "row 3 col 5", "A", "drawing 7")]
     assert client.post("/api/verify", json={"claim": "nonsense"}).status_code == 409
-    assert client.post("/api/recording", json={"on": False}).json() == {"folder": None}
+    assert client.post("/api/recording", json={"on": False}).json()["folder"] is None
+
+
+def test_an_answer_tells_from_when_on_pictures_show_what_was_done(serve):
+    client = serve()
+    client.station.clock.advance(1.5)
+    answer = client.post("/api/target", json={"tube": "nearest"}).json()
+    assert answer == {"target": "nearest", "now_ms": client.station.clock.now_ns / 1e6}
 
 
 def test_without_a_recorder_that_is_said(serve):

@@ -10,12 +10,14 @@ import { Readouts } from "./readouts.js";
 const $ = (id) => document.getElementById(id);
 const WATCH_MS = 100;
 const LATENCIES = 300;
+const MOVES = 4, MOVE_MS = 2000;
 
 const readouts = new Readouts();
 const picture = new Picture($("picture"));
 const alarms = new Alarms((key) => tell("acknowledge", { key }, "acknowledged"));
 let connected = false, frameMs = -Infinity, shown = null, mayControl = false, anchoring = false;
 let waiting = null, drawing = false;
+let ordered = 0, doneMs = -Infinity, moves = [];
 const latencies = [];
 
 // -- what arrives ------------------------------------------------------------------------------------------------------
@@ -65,6 +67,7 @@ function drawFrame(bitmap, { head, marks }) {
   shown = head;
   readouts.frame(head, marks, beganMs);
   frameMs = performance.now();
+  makeMove();
   document.body.dataset.drawMs = (frameMs - beganMs).toFixed(1);
   if (link.clock.synced) {
     latencies.push(link.clock.now() - head.grabbed_ms);
@@ -131,10 +134,22 @@ function say(text, problem = false) {
 
 const operator = () => $("operator").value.trim();
 
-/** Have a command carried out and say how it went; gives its answer, or null. */
+/** Have a command carried out in the operator's name; gives its answer, or throws what it says. */
+async function order(name, body) {
+  ordered += 1;
+  try {
+    const answer = await command(name, { operator: operator(), ...body });
+    doneMs = answer.now_ms;
+    return answer;
+  } finally {
+    ordered -= 1;
+  }
+}
+
+/** The same, and say how it went; gives its answer, or null. */
 async function tell(name, body, done) {
   try {
-    const answer = await command(name, { ...body, operator: operator() });
+    const answer = await order(name, body);
     say(typeof done === "function" ? done(answer) : done);
     return answer;
   } catch (error) {
@@ -154,7 +169,7 @@ function askAnchor(tube) {
   ask("Anchor", `Which tube is it that the picture has at row ${tube.row}, column ${tube.column}? All others get their names from it.`,
     [{ name: "name", label: "its name", value: tube.name ?? "", hint: readouts.said.naming === "line-row" ? "L83R87" : "ROW12 COL34", required: true }],
     "Anchor", async ({ name }) => {
-      const done = await command("anchor", { row: tube.row, column: tube.column, name, generation: tube.generation, index: tube.index, operator: operator() });
+      const done = await order("anchor", { row: tube.row, column: tube.column, name, generation: tube.generation, index: tube.index });
       say(`anchor ${done.anchor}`);
     });
 }
@@ -177,7 +192,7 @@ const DO = {
   target() {
     ask("Target", "The tube to align to: its name, its place in the lattice (row,column), or nearest.",
       [{ name: "tube", label: "tube", value: readouts.state?.target ?? "", required: true }], "Choose", async ({ tube }) => {
-        const done = await command("target", { tube, operator: operator() });
+        const done = await order("target", { tube });
         say(`target is ${done.target}`);
       });
   },
@@ -187,14 +202,14 @@ const DO = {
     const on = !readouts.state?.recording?.on;
     if (on) tell("recording", { on }, (a) => `recording into ${a.folder}`);
     else ask("Stop recording", "The session ends here; what was recorded is kept.", [], "Stop recording", async () => {
-      await command("recording", { on: false, operator: operator() });
+      await order("recording", { on: false });
       say("recording stopped");
     });
   },
   mark() {
     ask("Mark", "Data acquisition begins or ends here: the pictures before and after it go on record.",
       [{ name: "text", label: "what", value: "acquisition", required: true, most: 200 }], "Mark", async ({ text }) => {
-        const done = await command("mark", { text, operator: operator() });
+        const done = await order("mark", { text });
         say(`marked; evidence record ${done.number}`);
       });
   },
@@ -207,7 +222,7 @@ const DO = {
         { name: "reason", label: "override, because", hint: "left empty: no override", most: 500 },
       ],
       "Verify", async ({ claim, operator: by, reason }) => {
-        const done = await command("verify", { claim: claim || null, operator: by, reason: reason || null });
+        const done = await order("verify", { claim: claim || null, operator: by, reason: reason || null });
         const seen = done.agrees === true ? "the picture agrees" : done.agrees === false ? `THE PICTURE SAYS ${done.tube_seen}` : "the picture tells no name";
         say(`evidence record ${done.number}: ${seen}`, done.agrees === false);
       });
@@ -272,13 +287,21 @@ addEventListener("keydown", (event) => {
   const key = KEYS.find((k) => k[2] === event.key), arrow = ARROWS[event.key];
   if ((key || arrow) && !mayControl && !WATCHING.has(event.key)) return;
   if (key) key[3]();
-  else if (arrow) moveTarget(...arrow);
+  else if (arrow) moveTarget(arrow, event.repeat);
   else return;
   event.preventDefault();
 });
 
-function moveTarget(dx, dy) {
-  const tube = picture.tubeBeside(dx, dy);
+function moveTarget(arrow, again) {
+  if (again ? !moves.length : moves.length < MOVES) moves.push({ arrow, untilMs: performance.now() + MOVE_MS });
+  makeMove();
+}
+
+/** Make the next move, once the picture shows what was done before it: from there it goes on. */
+function makeMove() {
+  moves = moves.filter((move) => move.untilMs > performance.now());
+  if (!moves.length || ordered || !(shown?.grabbed_ms > doneMs)) return;
+  const tube = picture.tubeBeside(...moves.shift().arrow);
   if (tube) chooseTube(tube);
 }
 
