@@ -29,12 +29,13 @@ __all__ = ["Shapes", "shapes_of"]
 STRAY = np.array([0.05, 0.12, 0.25, 0.15, 0.04])
 """How far each shape strays from ray to ray: level, edge, what lies beyond the wall, seam, as parts of the edge's
 height, and shift, px."""
-LEAN = np.array([0.1, 0.09, 0.3, 0.15])
+LEAN = np.array([0.1, 0.09, 0.3, 0.12])
 """How far each but the shift leans to one side of the rim beside what is expected: one sigma of the cosine's and of the
 sine's part."""
-WITH_LIGHT = np.array([0.0, 1.1, 0.5, 0.0])
+WITH_LIGHT = np.array([0.2, 1.1, 0.5, 0.0])
 """How each leans with the light, per relative change of the light from the tube's centre to its rim. Pictures tell it
-themselves where it is left open: the edge by 1.0 to 1.4, as its height is read off outside of the rim."""
+themselves where it is left open: the edge by 1.0 to 1.4, as its height is read off outside of the rim; and the bore's
+level by as much as it is of the edge's height."""
 WITH_VIEW = np.array([0.2, 0.001, 1.0, 1.0])
 """How far each may lean with the view in all tubes alike, one sigma, per tangent of the angle of view: weld beads throw
 the light back from the side that faces the lamp, and they, being raised, move with the view. The edge does not: where
