@@ -7,11 +7,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tqdm import tqdm
-
 from drivers.errors import ConfigError
 from drivers.session_replay import is_session
 from service.cli.outputs import check_outputs
+from service.cli.terminal import progress
 from service.config.cameras import write_atomically
 from service.sinks.session.reader import open_session
 
@@ -36,18 +35,7 @@ def run(args: argparse.Namespace) -> int:
     # plots take half a second to import: only where they are made
     from service.report.page import make_report  # noqa: PLC0415
 
-    tqdm.monitor_interval = 0  # no thread of its own
-    with tqdm(disable=None, leave=False) as bar:
-        shown = ""
-
-        def show(what: str, done: int, total: int) -> None:
-            nonlocal shown
-            if what != shown:
-                shown = what
-                bar.reset(total)
-                bar.set_description(what)
-            bar.update(done - bar.n)
-
+    with progress() as show:
         report = make_report(session, time.time_ns(), show)
     write_atomically(out, report)
     size_mb = len(report.encode()) / 1e6

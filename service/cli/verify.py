@@ -9,6 +9,7 @@ from drivers.errors import ConfigError, DeviceError
 from drivers.session_replay import is_session
 from service.cli.again import measured_as_recorded, remembered
 from service.cli.live import prepare_kernels
+from service.cli.terminal import progress
 from service.sinks.evidence import without_times
 from service.sinks.evidence_check import record_key
 from service.sinks.session.comparison import Comparison
@@ -32,7 +33,8 @@ def run(args: argparse.Namespace) -> int:
     """Check it, and say what is wrong; returns the exit status."""
     if not is_session(args.session):
         raise ConfigError(f"{args.session}: is no recorded session; bowlsight sessions lists those there are")
-    findings = list(verify_session(args.session))
+    with progress() as show:
+        findings = list(verify_session(args.session, progress=lambda done, total: show("reading", done, total)))
     if args.recompute:
         findings += _recomputed(args.session)
     for finding in findings[:MOST_SHOWN]:
@@ -68,13 +70,16 @@ def _compared(session: RecordedSession) -> Iterator[Finding]:
     memory = remembered(session)
     comparison = Comparison(session, remembered=memory is not None)
     evidence = {record_key(record)[:3]: record for record in session.evidence()}
-    for frame, results in measured_as_recorded(session, memory):
-        comparison.accept(frame, results)
-        record = evidence.get((frame.generation, frame.sequence, frame.timestamp_ns))
-        if record is not None and comparison.exact:
-            now = [without_times(json.loads(result.to_json())) for result in results]
-            if record.values["result"] not in now:
-                yield Finding("evidence", f"record {record.number} is not what its frame measures now")
+    measured = session.counts().measured
+    with progress() as show:
+        for done, (frame, results) in enumerate(measured_as_recorded(session, memory), 1):
+            show("measuring", done, measured)
+            comparison.accept(frame, results)
+            record = evidence.get((frame.generation, frame.sequence, frame.timestamp_ns))
+            if record is not None and comparison.exact:
+                now = [without_times(json.loads(result.to_json())) for result in results]
+                if record.values["result"] not in now:
+                    yield Finding("evidence", f"record {record.number} is not what its frame measures now")
     print("\n".join(comparison.lines()))
     if comparison.problem is not None:
         yield Finding("results.jsonl", comparison.problem)

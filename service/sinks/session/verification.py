@@ -65,7 +65,7 @@ def verify_session(
     videos
         Whether to read the video files too, which takes as long as the disk needs for all of them.
     progress
-        Told how many bytes of the results were checked along with the index, and how many there are.
+        Told how many bytes of the results, and of the video where that is read, were read, and how many there are.
     """
     yield from _Verification(folder, progress).findings(videos=videos)
 
@@ -81,8 +81,11 @@ class _Verification:
         self._videos: dict[str, Finished | Written | None] = {}
         self._evidence = EvidenceCheck(folder)
         self._frames = self._measured = self._results_end = 0
+        self._done = self._total = 0
 
     def findings(self, *, videos: bool) -> Iterator[Finding]:
+        to_read = [self._folder / RESULTS, *((self._folder / VIDEO).glob("*") if videos else ())]
+        self._total = sum(map(_size, to_read))
         yield from self._index()
         yield from self._end()
         yield from self._about()
@@ -93,6 +96,8 @@ class _Verification:
         yield from self._events()
         for name, said in self._videos.items() if videos else ():
             yield from self._video(name, said)
+            self._done += _size(self._folder / VIDEO / name)
+            self._progress(self._done, self._total)
         yield from _strays(self._folder / VIDEO, set(self._videos), VIDEO)
         genesis = None if self._header is None else self._header.session_sha256
         yield from self._evidence.findings(genesis, closed=self._closed is not None)
@@ -104,13 +109,13 @@ class _Verification:
         """Read the index, and the result log along with it."""
         try:
             with (self._folder / RESULTS).open("rb") as results:
-                total = results.seek(0, io.SEEK_END)
+                self._done = results.seek(0, io.SEEK_END)
                 for item in read_items(self._folder / INDEX):
                     if isinstance(item, Fault):
                         yield Finding(INDEX, f"line {item.line} {item.problem}", grave=not item.torn)
                     elif isinstance(item, Measured):
                         yield from self._lines(item, results)
-                        self._progress(self._results_end, total)
+                        self._progress(self._results_end, self._total)
                     else:
                         self._take(item)
                 results.seek(self._results_end)
@@ -217,6 +222,10 @@ class _Verification:
         if seen < len(rows):
             text = f"ends before its last {len(rows) - seen} frames, which were still to be written"
             yield Finding(f"{VIDEO}/{name}", text, grave=False)
+
+
+def _size(path: Path) -> int:
+    return path.stat().st_size if path.is_file() else 0
 
 
 def _hashed(folder: Path, name: str, recorded: str) -> Iterator[Finding]:

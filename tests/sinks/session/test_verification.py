@@ -6,7 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
-from drivers.session_index import INDEX
+from drivers.session_index import INDEX, VIDEO
 from service.sinks.evidence import HEADS, RECORDS
 from service.sinks.session.places import ABOUT, EVENTS, EVIDENCE, RESULTS
 from service.sinks.session.reader import open_session
@@ -31,6 +31,16 @@ def found(session):
 
 def test_a_sound_session_passes(sound):
     assert list(verify_session(sound)) == []
+
+
+@pytest.mark.parametrize("videos", [False, True])
+def test_it_tells_how_far_it_is(sound, videos):
+    told = []
+    assert list(verify_session(sound, videos=videos, progress=lambda *now: told.append(now))) == []
+    done, totals = [d for d, _ in told], {total for _, total in told}
+    size = (sound / RESULTS).stat().st_size + videos * sum(p.stat().st_size for p in (sound / VIDEO).iterdir())
+    assert (done, totals) == (sorted(done), {size})
+    assert done[-1] == size
 
 
 def test_a_record_holds_what_was_claimed_seen_and_shown(sound):
