@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 from serial.tools import list_ports
 
 from drivers.uvc.description import usb_grabbers
-from drivers.v4l2.description import VideoDevice, video_devices
+from drivers.v4l2.description import video_devices
+from drivers.video_device import VideoDevice
 
 if TYPE_CHECKING:
     from serial.tools.list_ports_common import ListPortInfo

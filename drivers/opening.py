@@ -13,6 +13,7 @@ from urllib.parse import parse_qsl
 
 import numpy as np
 
+from drivers.encodings import ENCODINGS
 from drivers.errors import ConfigError, DeviceNotFoundError
 from drivers.grabber import Clock, FieldMode, Grabber
 from drivers.identity import SYSFS
@@ -23,7 +24,6 @@ from drivers.simulated import SimulatedGrabber
 from drivers.simulation import default_scene
 from drivers.uvc.grabber import UvcGrabber
 from drivers.uvc.link import reset_usb_device
-from drivers.v4l2.encodings import ENCODINGS
 from drivers.v4l2.grabber import V4l2Grabber
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from drivers.identity import SYSFS, usb_video_devices
 from drivers.uvc.agreement import isochronous_only
 from drivers.uvc.descriptors import video_functions
 from drivers.uvc.inputs import list_inputs
-from drivers.v4l2.description import OfferedFormat, OfferedInput, VideoDevice
+from drivers.video_device import OfferedFormat, OfferedInput, VideoDevice
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -81,7 +81,7 @@ class StreamFormat:
     index
         What negotiation calls it.
     encoding
-        As `drivers.v4l2.encodings` names it; None where it cannot be read.
+        As `drivers.encodings` names it; None where it cannot be read.
     code
         As the device names it.
     interlaced, top_first

@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from drivers.encodings import picture
 from drivers.fields import field_frames
 from drivers.frame import Frame, PixelFormat
 from drivers.pool import FramePool
 from drivers.sequence import SEQUENCE_NUMBERS, SequenceExtender
 from drivers.stamps import StampCheck, TimeGaps
-from drivers.v4l2.encodings import picture
 
 if TYPE_CHECKING:
     from drivers.grabber import FieldMode, FrameFormat

@@ -12,8 +12,8 @@ import usb.core
 import usb.util
 
 from drivers.errors import DeviceBusyError, DeviceError, DeviceNotFoundError, DeviceTimeoutError
+from drivers.failures import device_error
 from drivers.identity import find_usb_devices, usb_video_devices
-from drivers.v4l2.failures import device_error
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

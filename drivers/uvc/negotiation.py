@@ -9,8 +9,8 @@ import struct
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from drivers.encodings import ENCODINGS, Layout
 from drivers.errors import DeviceProtocolError, UnsupportedFormatError
-from drivers.v4l2.encodings import ENCODINGS, Layout
 
 if TYPE_CHECKING:
     from drivers.uvc.descriptors import StreamFormat, StreamSize, VideoStream

@@ -6,17 +6,17 @@ import logging
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+from drivers.encodings import ENCODINGS, Layout
 from drivers.errors import UnsupportedFormatError
 from drivers.frame import Field
 from drivers.grabber import FieldMode, FrameFormat
 from drivers.v4l2 import calls
 from drivers.v4l2.constants import FieldOrder, SelectionTarget, StandardBits, fourcc, fourcc_text
-from drivers.v4l2.encodings import ENCODINGS, Layout
 from drivers.v4l2.timings import timings_in_use
 
 if TYPE_CHECKING:
+    from drivers.encodings import Encoding
     from drivers.v4l2.calls import Node
-    from drivers.v4l2.encodings import Encoding
     from drivers.v4l2.structs import PixFormat
 
 __all__ = ["Grant", "Wish", "agree"]

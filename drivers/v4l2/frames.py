@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
 
+from drivers.encodings import picture
 from drivers.fields import field_frames
 from drivers.frame import Field, Frame, PixelFormat
 from drivers.grabber import FieldMode
@@ -13,7 +14,6 @@ from drivers.pool import FramePool
 from drivers.sequence import SequenceExtender
 from drivers.stamps import StampCheck, TimeGaps
 from drivers.v4l2.constants import FieldOrder
-from drivers.v4l2.encodings import picture
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

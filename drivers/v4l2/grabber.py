@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, NoReturn
 
 from drivers.errors import DeviceError, DeviceProtocolError, DeviceStateError, DeviceTimeoutError
+from drivers.failures import gone, told
 from drivers.grabber import (
     AcquisitionMode,
     Clock,
@@ -24,7 +25,6 @@ from drivers.grabber import (
 from drivers.identity import SYSFS
 from drivers.v4l2 import calls
 from drivers.v4l2.controls import ControlTable
-from drivers.v4l2.failures import gone, told
 from drivers.v4l2.formats import Grant, Wish, agree
 from drivers.v4l2.frames import FrameMaker
 from drivers.v4l2.inputs import STANDARD_BITS, list_inputs, signal_status, standard_of

@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from drivers.errors import DeviceNotFoundError, UnsupportedFormatError
+from drivers.failures import told
 from drivers.identity import find_video_nodes, video_nodes
 from drivers.v4l2 import calls
 from drivers.v4l2.calls import Node
 from drivers.v4l2.constants import CapabilityFlag
-from drivers.v4l2.failures import told
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from drivers.discovery import Device, VideoDevice
-    from drivers.v4l2.description import OfferedFormat, OfferedInput
+    from drivers.video_device import OfferedFormat, OfferedInput
 
 __all__ = ["run"]
 

@@ -18,11 +18,11 @@ from collections import deque
 
 import numpy as np
 
+from drivers.encodings import ENCODINGS, Layout, picture
 from drivers.grabber import SystemClock
 from drivers.pool import FramePool
 from drivers.v4l2.calls import LinuxCalls
 from drivers.v4l2.constants import BufferFlag, FieldOrder
-from drivers.v4l2.encodings import ENCODINGS, Layout, picture
 from drivers.v4l2.grabber import V4l2Grabber
 from tests.fakes.kernel import PROGRESSIVE, FakeDevice, FakeInput, FakeKernel
 

@@ -5,7 +5,7 @@ import pytest
 from drivers.access import Holder
 from drivers.discovery import Device
 from drivers.grabber import SignalStatus, Standard
-from drivers.v4l2.description import OfferedFormat, OfferedInput, VideoDevice
+from drivers.video_device import OfferedFormat, OfferedInput, VideoDevice
 from service.cli import devices, main
 
 GRABBER = VideoDevice(

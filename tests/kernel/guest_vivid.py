@@ -11,11 +11,11 @@ import pytest
 from drivers.access import Holder
 from drivers.automatics import lock_automatics
 from drivers.discovery import video_devices
+from drivers.encodings import ENCODINGS
 from drivers.errors import UnsupportedFormatError
 from drivers.frame import Field
 from drivers.grabber import AcquisitionMode, FieldMode, GrabberState, SignalStatus, Standard
 from drivers.opening import open_grabber
-from drivers.v4l2.encodings import ENCODINGS
 from tests.kernel.conftest import VIVID
 
 S_VIDEO = ["S-Video 0", "S-Video 1", "S-Video 2"]

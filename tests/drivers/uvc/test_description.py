@@ -7,7 +7,7 @@ import pytest
 from drivers.access import Holder
 from drivers.grabber import SignalStatus, Standard
 from drivers.uvc.description import usb_grabbers
-from drivers.v4l2.description import OfferedFormat, OfferedInput
+from drivers.video_device import OfferedFormat, OfferedInput
 from tests.drivers.tree import put
 from tests.fakes.usb import Plugged, plug_in
 from tests.fakes.uvc import FakeUvcDevice

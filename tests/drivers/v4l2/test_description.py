@@ -8,8 +8,8 @@ from drivers.access import Holder
 from drivers.discovery import video_devices
 from drivers.grabber import SignalStatus, Standard
 from drivers.v4l2.constants import CapabilityFlag, InputStatus, SizeType, StandardBits
-from drivers.v4l2.description import OfferedFormat, OfferedInput
 from drivers.v4l2.structs import Request
+from drivers.video_device import OfferedFormat, OfferedInput
 from tests.drivers.tree import put, usb_device, video_node
 from tests.fakes.clock import ManualClock
 from tests.fakes.kernel import FakeDevice, FakeInput, FakeKernel
