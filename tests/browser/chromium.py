@@ -115,13 +115,19 @@ class Page:
     def type(self, text: str) -> None:
         self.ask("Input.insertText", text=text)
 
+    def mouse(self, kind: str, x: float, y: float) -> None:
+        self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
     def click(self, x: float, y: float) -> None:
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
-            self.ask("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+            self.mouse(kind, x, y)
+
+    def middle(self, selector: str) -> tuple[float, float]:
+        middle = "(b => [b.x + b.width / 2, b.y + b.height / 2])"
+        return tuple(self.run(f"{middle}(document.querySelector({selector!r}).getBoundingClientRect())"))
 
     def click_on(self, selector: str) -> None:
-        middle = "(b => [b.x + b.width / 2, b.y + b.height / 2])"
-        self.click(*self.run(f"{middle}(document.querySelector({selector!r}).getBoundingClientRect())"))
+        self.click(*self.middle(selector))
 
     def screenshot(self, path: Path) -> None:
         path.write_bytes(base64.b64decode(self.ask("Page.captureScreenshot", format="png")["data"]))

@@ -222,6 +222,17 @@ def test_an_alarm_that_went_by_itself_stays_until_it_is_acknowledged(open_page):
     page.wait("!document.querySelector('#alarmlist li')")
 
 
+def test_an_acknowledgement_counts_although_the_list_is_told_anew_while_the_button_is_down(open_page):
+    page = open_page()
+    page.station.watched.shown = SourceStatus("NO SIGNAL", "the input has no signal")
+    page.wait("document.querySelector('#alarmlist button')")
+    place, when = page.middle("#alarmlist button"), page.text("#alarmlist .when")
+    page.mouse("mousePressed", *place)
+    page.wait(f"document.querySelector('#alarmlist .when').innerText !== {when!r}")
+    page.mouse("mouseReleased", *place)
+    page.wait("document.querySelector('#alarmlist li:not(.new)')")
+
+
 def test_sessions_are_begun_marked_verified_and_ended(open_page):
     page = open_page()
     page.key("r")

@@ -8,6 +8,7 @@ const BEEP_MS = 1500;
 export class Alarms {
   #beeping = null;
   #shown = "";
+  #made = new Map();
   sounds = false;
 
   constructor(acknowledge) {
@@ -26,9 +27,13 @@ export class Alarms {
     const now = JSON.stringify([state.alarms.map((a) => ({ ...a, age_s: Math.floor(a.age_s) })), state.first_out?.key]);
     if (now === this.#shown) return;
     this.#shown = now;
+    const rows = this.#rows(state, epochMs, mayControl);
+    this.#made = new Map(rows.map((row) => [row.dataset.key, row]));
+    const list = $("alarmlist");
+    if (rows.length === list.children.length && rows.every((row, i) => row === list.children[i])) return;
     const focused = document.activeElement?.dataset?.key;
-    $("alarmlist").replaceChildren(...this.#rows(state, epochMs, mayControl));
-    if (focused) $("alarmlist").querySelector(`button[data-key="${CSS.escape(focused)}"]`)?.focus();
+    list.replaceChildren(...rows);
+    if (focused) list.querySelector(`button[data-key="${CSS.escape(focused)}"]`)?.focus();
   }
 
   #first = null;
@@ -45,32 +50,30 @@ export class Alarms {
     return rows;
   }
 
+  /** An alarm's row, the same as long as it is listed: a click whose press and release meet two buttons is none. */
   #row(a, first, epochMs, mayControl) {
-    const row = document.createElement("li");
+    const row = this.#made.get(a.key) ?? this.#newRow(a.key);
     row.className = `${a.acknowledged ? "" : "new"} ${a.active ? "" : "gone"}`;
-    row.dataset.key = a.key;
+    row.querySelector(".first").hidden = !first;
     const figure = a.value === null ? "" : ` ${a.value.toFixed(2)} ${a.unit}${a.limit === null ? "" : `, limit ${a.limit} ${a.unit}`}`;
-    row.innerHTML = '<svg><use href="#octagon"/></svg><div><div class="what"></div><div class="todo"></div><div class="when"></div></div>';
-    const what = row.querySelector(".what");
-    if (first) {
-      const mark = document.createElement("span");
-      mark.className = "first";
-      mark.textContent = "FIRST";
-      what.append(mark);
-    }
-    what.append(a.reason + (figure ? `:${figure}` : ""));
+    row.querySelector(".reason").textContent = a.reason + (figure ? `:${figure}` : "");
     row.querySelector(".todo").textContent = `→ ${a.todo}`;
     const seen = a.acknowledged ? "acknowledged" : "not acknowledged";
     row.querySelector(".when").textContent =
       `${utc(epochMs + a.raised_ms)} UTC, ${ago(a.age_s)} ago${a.active ? "" : " · GONE"} · ${seen}${a.times > 1 ? ` · ${a.times}×` : ""}`;
-    if (!a.acknowledged && mayControl) {
-      const button = document.createElement("button");
-      button.type = "button";
-      button.dataset.key = a.key;
-      button.innerHTML = "Ack <kbd>K</kbd>";
-      button.onclick = () => this.acknowledge(a.key);
-      row.append(button);
-    }
+    row.querySelector("button").hidden = a.acknowledged || !mayControl;
+    return row;
+  }
+
+  #newRow(key) {
+    const row = document.createElement("li");
+    row.dataset.key = key;
+    row.innerHTML =
+      '<svg><use href="#octagon"/></svg><div><div class="what"><span class="first">FIRST</span><span class="reason"></span></div>' +
+      '<div class="todo"></div><div class="when"></div></div><button type="button">Ack <kbd>K</kbd></button>';
+    const button = row.querySelector("button");
+    button.dataset.key = key;
+    button.onclick = () => this.acknowledge(key);
     return row;
   }
 
