@@ -1,18 +1,16 @@
 """The operator's page in a real browser; skipped where there is none."""
 
 import json
-import threading
+import signal
+import subprocess
+import sys
 import time
+from pathlib import Path
 
 import pytest
 
-from drivers.faults import Fault, FaultKind
-from drivers.opening import open_grabber
-from drivers.simulated import SimulatedGrabber
-from service.cli import main
-from service.cli import run as run_command
 from service.console.watched import SourceStatus
-from tests.browser.chromium import Chromium, program
+from tests.browser.chromium import PATIENCE_S, Chromium, program
 from tests.browser.served import Served, aligner_at
 from tests.fakes.drawn import made_up
 from tests.fakes.station import TOKENS
@@ -21,8 +19,14 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(program() is None, reason="NO BROWSER: the operator's page is NOT TESTED (Debian: chromium)"),
 ]
+ROOT = Path(__file__).parents[2]
 LIVE = SourceStatus("LIVE", capture_fps=25.0, inputs=("CH1", "CH2"), input="CH1")
 HIDDEN = "document.getElementById('banner').hidden"
+HAND = "document.getElementById('hand').getAttribute('transform')"
+SHOWN = """
+document.body.dataset.drawMs !== undefined && document.body.dataset.liveness !== undefined
+  && !document.body.classList.contains('dead')
+"""
 ON_TOP = """
 (box => document.getElementById('banner').contains(
   document.elementFromPoint(box.x + box.width / 2, box.y + box.height / 2)))(
@@ -47,7 +51,7 @@ def open_page(chromium):
         opened.append((served, page))
         page.station, page.served = served.station, served
         if not station.get("tokens"):
-            page.wait("document.body.dataset.drawMs !== undefined")
+            page.wait(SHOWN)
         return page
 
     yield start
@@ -61,8 +65,20 @@ def open_page(chromium):
         assert elsewhere == []
 
 
+def says(selector, words):
+    """An expression: whether an element says so."""
+    return f"document.querySelector({selector!r}).innerText.includes({words!r})"
+
+
+def await_new_picture(page):
+    """Wait for a picture drawn from now on: it has the size that its place has now."""
+    before = page.run(HAND)
+    page.wait(f"{HAND} !== {before!r}")
+
+
 def at_tube(page, row, column):
     """Where on the screen a tube is, by the results of `made_up`."""
+    await_new_picture(page)
     tubes = made_up(0, size=(640, 480))[1].measurement.tubes
     [i] = [i for i in range(len(tubes)) if (tubes.row[i], tubes.column[i]) == (row, column)]
     x, y = tubes.center_px[i] + 0.5
@@ -72,16 +88,13 @@ def at_tube(page, row, column):
 
 def test_the_heartbeat_turns_with_the_frames_and_stops_with_them(open_page):
     page = open_page()
-    hand = "document.getElementById('hand').getAttribute('transform')"
     page.wait(f"document.body.dataset.liveness === 'LIVE' && {HIDDEN}")
-    before = page.run(hand)
-    page.wait(f"{hand} !== {before!r}")
+    await_new_picture(page)
     page.served.streams.clear()  # the service goes on to say LIVE: the page believes what it sees
-    page.wait("document.body.dataset.liveness === 'STALE'")
-    assert "no new picture" in page.text("#banner")
-    still = page.run(hand)
+    page.wait(f"document.body.dataset.liveness === 'STALE' && {says('#banner', 'no new picture')}")
+    still = page.run(HAND)
     time.sleep(0.3)
-    assert page.run(hand) == still
+    assert page.run(HAND) == still
     assert page.run("document.body.classList.contains('dead')")
     page.served.streams.set()
     page.wait(f"document.body.dataset.liveness === 'LIVE' && {HIDDEN}")
@@ -91,13 +104,13 @@ def test_the_heartbeat_turns_with_the_frames_and_stops_with_them(open_page):
 def test_a_picture_that_is_not_live_wears_a_banner_that_nothing_hides(open_page, word):
     page = open_page()
     page.station.watched.shown = SourceStatus(word, "for the test", since_ns=time.monotonic_ns() - 7_000_000_000)
-    page.wait(f"document.getElementById('bannerword').innerText === {word!r} && !{HIDDEN}")
-    assert "for the test" in page.text("#banner")
-    assert page.text("#liveness") == word
-    assert page.run(ON_TOP)
-    hand = page.run("document.getElementById('hand').getAttribute('transform')")
+    page.wait(
+        f"['bannerword', 'liveness'].every(id => document.getElementById(id).innerText === {word!r})"
+        f" && {says('#banner', 'for the test')} && !{HIDDEN} && {ON_TOP}"
+    )
+    hand = page.run(HAND)
     time.sleep(0.3)
-    assert page.run("document.getElementById('hand').getAttribute('transform')") == hand
+    assert page.run(HAND) == hand
     for key in ("Escape", "k", "s", "x"):
         page.key(key)
     page.click_on("#banner")
@@ -120,8 +133,7 @@ def test_a_service_that_is_gone_makes_the_page_stale_by_itself(open_page):
     page = open_page()
     page.served.streams.clear()
     page.served.server.close(10.0)
-    page.wait("document.body.dataset.liveness === 'STALE'")
-    assert "tries again" in page.text("#banner")
+    page.wait(f"document.body.dataset.liveness === 'STALE' && {says('#banner', 'tries again')}")
 
 
 def test_a_click_chooses_the_tube_under_it(open_page):
@@ -263,7 +275,7 @@ def test_an_input_is_chosen_and_a_refusal_is_told(open_page):
 
 def test_a_page_that_may_only_watch_cannot_operate(open_page):
     page = open_page(f"#token={TOKENS.view}", tokens=TOKENS)
-    page.wait("document.body.dataset.drawMs !== undefined")
+    page.wait(SHOWN)
     assert page.run("location.hash") == ""
     page.wait("document.querySelector('[data-do=record]').disabled")
     page.click(*at_tube(page, 0, 0))
@@ -291,9 +303,10 @@ def test_everything_has_room(open_page, size):
     page = open_page(aligner=aligner_at(0.6, 0.2))
     page.size(*size)
     page.station.watched.shown = SourceStatus("LIVE", inputs=("S-Video 1", "S-Video 2"), input="S-Video 1")
+    page.wait(says("#input", "S-Video 2"))
     page.click(*at_tube(page, 0, 0))
     page.wait("document.querySelector('#alarmlist li')")
-    time.sleep(0.3)
+    await_new_picture(page)
     outside = page.run(
         "[...document.querySelectorAll('header *, aside section, figure, output, footer button, footer input')]"
         ".filter(e => e.getClientRects().length && (e.getBoundingClientRect().right > innerWidth + 1"
@@ -304,29 +317,53 @@ def test_everything_has_room(open_page, size):
     assert picture["width"] * picture["height"] > 0.45 * size[0] * size[1]
 
 
-def test_the_real_service_with_a_source_that_fails(chromium, monkeypatch, tmp_path, capfd):
-    faults = [
-        Fault(FaultKind.FREEZE, 150, frames=75),
-        Fault(FaultKind.BLACK, 300, frames=75),
-        Fault(FaultKind.DISCONNECT, 450, seconds=4.0),
-    ]
-    scene = open_grabber("simulated:model-f?size=640x480&loop_frames=4").scene
-    monkeypatch.setattr(run_command, "_grabber", lambda s: SimulatedGrabber(scene, loop_frames=4, faults=faults))
+REAL_SERVICE = """
+import sys
+from drivers.faults import Fault, FaultKind
+from drivers.opening import open_grabber
+from drivers.simulated import SimulatedGrabber
+from service.cli import main, run
+from service.console.console import Console
+
+def announce(console, told=Console.announce):
+    told(console)
+    sys.stdin.readline()  # the first frame comes once the page looks on
+
+Console.announce = announce
+faults = [
+    Fault(FaultKind.FREEZE, 150, frames=75),
+    Fault(FaultKind.BLACK, 300, frames=75),
+    Fault(FaultKind.DISCONNECT, 450, seconds=4.0),
+]
+scene = open_grabber("simulated:model-f?size=640x480&loop_frames=4").scene
+run._grabber = lambda station: SimulatedGrabber(scene, loop_frames=4, faults=faults)
+sys.exit(main(["run", "--config", sys.argv[1], "--no-viewer"]))
+"""
+WORDS = "SIMULATED", "FROZEN", "SIMULATED", "NO SIGNAL", "SIMULATED", "RECONNECTING", "SIMULATED"
+NOTE_WORDS = """
+globalThis.words = [];
+new MutationObserver(() => words.push(document.body.dataset.liveness)).observe(
+  document.body, { attributeFilter: ["data-liveness"] });
+"""
+
+
+def test_the_real_service_with_a_source_that_fails(chromium, tmp_path):
     station = tmp_path / "s.toml"
     station.write_text('[source]\ndevice = "simulated"\n[generator]\nname = "model-f"\n[console]\nclients = 2\n')
-    command = ["run", "--config", str(station), "--no-viewer", "--seconds", "45"]
-    service = threading.Thread(target=main, args=(command,), name="service")
-    service.start()
-    said, deadline = "", time.monotonic() + 60
-    while "operator's page: " not in said and time.monotonic() < deadline:
-        time.sleep(0.1)
-        said += capfd.readouterr().out
-    page = chromium.page(said.partition("operator's page: ")[2].split()[0])
-    try:
-        for word in ("SIMULATED", "FROZEN", "SIMULATED", "NO SIGNAL", "SIMULATED", "RECONNECTING", "SIMULATED"):
-            page.wait(f"document.body.dataset.liveness === {word!r}")
-        for key in ("source frozen", "source no signal", "source reconnecting"):  # looked for a few times a second
-            page.wait(f"document.querySelector('#alarmlist li.gone[data-key=\"{key}\"]') !== null")
-    finally:
-        page.close()
-        service.join(90)
+    command = [sys.executable, "-c", REAL_SERVICE, station]
+    with subprocess.Popen(command, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as service:
+        try:
+            said = next(line for line in service.stdout if line.startswith("operator's page: "))
+            page = chromium.page(said.split()[-1])
+            page.wait("document.body.dataset.liveness === 'STARTING'")
+            page.run(NOTE_WORDS)
+            service.stdin.write("\n")
+            service.stdin.flush()
+            in_order = "words.reduce((at, word) => at + (word === wanted[at]), 0) === wanted.length"
+            page.wait(f"(wanted => {in_order})({list(WORDS)})")
+            for key in ("source frozen", "source no signal", "source reconnecting"):  # looked for a few times a second
+                page.wait(f"document.querySelector('#alarmlist li.gone[data-key=\"{key}\"]') !== null")
+            page.close()
+        finally:
+            service.send_signal(signal.SIGINT)
+            service.communicate(timeout=PATIENCE_S)
