@@ -6,7 +6,6 @@ import asyncio
 import contextlib
 import json
 import logging
-import time
 from typing import TYPE_CHECKING, Any, Final
 
 from anyio import to_thread
@@ -77,8 +76,8 @@ class WebApp:
         self._clock, self._most_pages = clock, most_pages
         self._files = page_files()
         self._schema = openapi()
-        self._requests = Buckets(REQUESTS_HZ, REQUESTS_BURST, time.monotonic)
-        self._logins = Buckets(LOGINS_HZ, LOGINS_BURST, time.monotonic)
+        self._requests = Buckets(REQUESTS_HZ, REQUESTS_BURST, self._now_s)
+        self._logins = Buckets(LOGINS_HZ, LOGINS_BURST, self._now_s)
         self._state = ""
         self._pages = 0
         self._commanding = asyncio.Lock()
@@ -93,6 +92,9 @@ class WebApp:
         ]
         starlette = Starlette(routes=routes, lifespan=self._lifespan, exception_handlers={HTTPException: _refused})
         self.asgi: ASGIApp = _Guard(starlette, access, self._requests)
+
+    def _now_s(self) -> float:
+        return self._clock.monotonic_ns() / 1e9
 
     # -- what goes on without a request ------------------------------------------------------------------------------
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import json
-import time
 from typing import TYPE_CHECKING, Any, Final
 
 from starlette.websockets import WebSocketDisconnect
@@ -73,7 +72,7 @@ class SocketPage:
     # -- from the page -----------------------------------------------------------------------------------------------
 
     async def _receive(self) -> None:
-        bucket = Bucket(MESSAGES_HZ, MESSAGES_BURST, time.monotonic)
+        bucket = Bucket(MESSAGES_HZ, MESSAGES_BURST, self._now_s)
         while True:
             message = await self._socket.receive()
             if message["type"] == "websocket.disconnect":
@@ -127,11 +126,14 @@ class SocketPage:
         posted = self._board.newest
         if posted is None or posted.number == self._sent:
             return
-        if self._numbers - self._seen >= UNSEEN and time.monotonic() - self._sent_s < RECEIPT_TIMEOUT_S:
+        if self._numbers - self._seen >= UNSEEN and self._now_s() - self._sent_s < RECEIPT_TIMEOUT_S:
             return
-        self._sent, self._sent_s = posted.number, time.monotonic()
+        self._sent, self._sent_s = posted.number, self._now_s()
         self._numbers += 1
         await self._socket.send_bytes(posted.message)
+
+    def _now_s(self) -> float:
+        return self._clock.monotonic_ns() / 1e9
 
     def _now_ms(self) -> float:
         return self._clock.monotonic_ns() / 1e6
