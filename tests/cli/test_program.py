@@ -14,6 +14,7 @@ import pytest
 from drivers.replay import ReplayGrabber
 from service.acquisition.live import LiveService
 from service.cli import main
+from service.cli.live import PREPARING
 from service.config.cameras import read_camera
 from service.config.generators import load_generator
 from service.demo import DEMO_GENERATOR, demo_camera, demo_video
@@ -91,7 +92,7 @@ def test_a_reader_that_goes_away_ends_it_without_a_word(start):
     assert json.loads(process.stdout.readline())["lock"] == "full"
     process.stdout.close()
     assert process.wait(PATIENCE_S) == 141
-    assert process.stderr.read() == ""
+    assert [line for line in process.stderr if PREPARING not in line] == []  # said where the machine is slow
 
 
 @pytest.mark.slow

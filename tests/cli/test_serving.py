@@ -1,8 +1,6 @@
 """The operator's page as commands serve it."""
 
 import socket
-import threading
-import time
 import urllib.request
 from types import SimpleNamespace
 
@@ -12,6 +10,8 @@ from service.acquisition.liveness import Liveness, Shown
 from service.cli import main
 from service.cli.serving import Served
 from service.console.watched import RefusedError
+from tests.fakes.results import make_measurement
+from tests.fakes.scripted import PATIENCE_S
 
 
 class FakeService:
@@ -58,19 +58,23 @@ def test_an_input_that_cannot_be_is_refused_in_words():
 
 
 def test_the_page_is_served_while_the_command_runs_and_its_address_printed(vision, video, capsys):
-    command = ["replay", str(video()), "--loop", "--seconds", "4", "--no-viewer"]
-    running = threading.Thread(target=main, args=(command,))
-    running.start()
-    said, deadline = "", time.monotonic() + 30
-    while "operator's page: " not in said and time.monotonic() < deadline:
-        time.sleep(0.02)
-        said += capsys.readouterr().out
-    address = said.partition("operator's page: ")[2].split()[0]
-    with urllib.request.urlopen(address, timeout=10) as page:
-        assert b"Bowlsight" in page.read()
-    running.join()
+    said, pages = [], []
+
+    def look():
+        """Open the page in the midst of the first picture; the recording ends after it."""
+        if not said:
+            said.append(capsys.readouterr().out)
+            address = said[0].partition("operator's page: ")[2].split()[0]
+            with urllib.request.urlopen(address, timeout=PATIENCE_S) as page:
+                pages.append((address, page.read()))
+        return [make_measurement()]
+
+    vision.answer = look
+    assert main(["replay", str(video()), "--speed", "max", "--no-viewer"]) == 0
+    [(address, page)] = pages
+    assert b"Bowlsight" in page
     with pytest.raises(OSError, match="refused"):
-        urllib.request.urlopen(address, timeout=10)
+        urllib.request.urlopen(address, timeout=PATIENCE_S)
 
 
 def test_a_port_that_is_taken_is_refused_before_anything_runs(vision, video, capsys):

@@ -2,10 +2,12 @@
 
 import itertools
 import json
+import os
+import signal
 
 import pytest
 
-from drivers.session_index import INDEX
+from drivers.session_index import INDEX, Row, read_index
 from service.cli import main
 from service.cli import recording as recording_command
 from service.sinks.session.control import RecordingError
@@ -139,9 +141,18 @@ def test_what_cannot_be_checked_is_refused_in_one_line(bowlsight, video, tmp_pat
     assert err.count("\n") == 1
 
 
-def test_run_records_what_the_station_asks_for(bowlsight, station, tmp_path):
+def test_run_records_what_the_station_asks_for(bowlsight, vision, station, tmp_path):
+    stopped = []
+
+    def stop_once_recorded():
+        rows = (item for index in (tmp_path / "here").glob(f"*/{INDEX}") for item in read_index(index))
+        if not stopped and any(isinstance(item, Row) for item in rows):
+            stopped.append(os.kill(os.getpid(), signal.SIGINT))
+        return [make_measurement()]
+
+    vision.answer = stop_once_recorded
     station.write_text(station.read_text() + 'enabled = true\nfolder = "here"\noperator = "B"\n')
-    status, out, _ = bowlsight("run", "--config", station, "--seconds", "0.5", "--no-viewer")
+    status, out, _ = bowlsight("run", "--config", station, "--seconds", "60", "--no-viewer")
     assert status == 0
     (folder,) = (tmp_path / "here").iterdir()
     session = open_session(folder)

@@ -82,8 +82,8 @@ def test_a_browser_is_opened_only_when_asked_and_never_in_the_terminal(make, mon
     assert ("no browser can be opened" in err) is bool(asked and not display)
 
 
-def test_the_live_service_serves_and_records(vision, capsys, tmp_path):
-    assert main(["demo", "--seconds", "0.5", "--save", str(tmp_path / "a.rrd")]) == 0
+def test_the_live_service_serves_and_records(vision, video, capsys, tmp_path):
+    assert main(["replay", str(video()), "--speed", "max", "--no-console", "--save", str(tmp_path / "a.rrd")]) == 0
     out = capsys.readouterr().out
     assert out.startswith("viewer: http://127.0.0.1:")
     assert "\n  viewer file  " in out
