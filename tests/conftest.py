@@ -13,6 +13,9 @@ SHARED = Path(os.environ.get("BOWLSIGHT_SHARED", Path(__file__).resolve().parent
 LASTING = {"usbip"}
 """Threads of what tests share for the whole session."""
 
+PATIENCE_S = 60.0
+"""How long a thread that is just ending is waited for."""
+
 # A busy machine is slow; that is no fault of what is tested.
 settings.register_profile("bowlsight", deadline=None, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("bowlsight")
@@ -31,7 +34,7 @@ def no_thread_left_running():
     """Fail a test that leaves a thread behind; those that are just ending are waited for."""
     before = set(threading.enumerate())
     yield
-    deadline = time.monotonic() + 2.0
+    deadline = time.monotonic() + PATIENCE_S
     while left := [t for t in threading.enumerate() if t not in before and t.is_alive() and t.name not in LASTING]:
         if time.monotonic() > deadline:
             pytest.fail(f"threads left running: {', '.join(t.name for t in left)}")

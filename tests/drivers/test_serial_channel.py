@@ -23,7 +23,7 @@ from drivers.serial_port import LineSettings, port_fault
 from tests.fakes.clock import HurriedClock, ManualClock
 from tests.fakes.serial_devices import FakeRangeFinder, PtyLine, Rfc2217Line, SocketLine
 
-ANSWER_S = 10.0
+ANSWER_S = 60.0
 """How long an answer is waited for that must come; never how long it takes."""
 
 rfc2217_is_dated = pytest.mark.filterwarnings("ignore:set(Daemon|Name)..:DeprecationWarning")

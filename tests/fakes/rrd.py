@@ -12,7 +12,7 @@ from rerun.chunk import RrdReader
 
 from service.sinks.viewer_page import rerun_program
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 
 
 class Rrd:

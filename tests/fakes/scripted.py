@@ -12,7 +12,7 @@ from drivers.grabber import FrameFormat, Grabber
 from service.sinks.base import SinkStats
 from service.vision.measurement import Lock, Measurement, Tubes
 
-PATIENCE_S = 10.0
+PATIENCE_S = 60.0
 """How long a test waits for what must happen; never how long it takes."""
 
 

@@ -10,7 +10,7 @@ from service.sinks.base import SinkStats, SourceState
 from service.sinks.queued import QueuedSink, SinkFailedError
 
 PIXELS = np.zeros((4, 4), np.uint8)
-LONG_S = 10.0
+LONG_S = 60.0
 
 
 def frame(sequence):

@@ -107,7 +107,7 @@ def record_with_evidence(root: Path, count: int = 3, **more) -> Path:
     return folder
 
 
-def wait_for(condition, seconds: float = 10.0) -> None:
+def wait_for(condition, seconds: float = 60.0) -> None:
     """Wait for what must happen."""
     deadline = time.monotonic() + seconds
     while not condition():
