@@ -10,7 +10,7 @@ import pytest
 
 pytestmark = pytest.mark.slow
 
-MOUNT = 'mount -t tmpfs -o size=4m none "$1" && shift && exec "$@"'
+MOUNT = 'mount -t tmpfs -o size=2m none "$1" && shift && exec "$@"'
 SCRIPT = """
 import json, sys
 from pathlib import Path
