@@ -176,13 +176,13 @@ def test_moves_pressed_before_the_picture_shows_the_last_one_go_on_from_there(op
     assert page.station.operations.target.place == (-1, 1)
 
 
-@pytest.mark.parametrize("leave", ["askleave.click()", "ask.dispatchEvent(new Event('cancel'))"])
-def test_a_key_pressed_the_moment_a_dialog_closes_counts(open_page, leave):
+@pytest.mark.parametrize(("key", "dialog"), [("t", "ask"), ("?", "help")])
+def test_a_key_pressed_the_moment_a_dialog_closes_counts(open_page, key, dialog):
     page = open_page()
-    page.key("t")
-    page.wait("document.getElementById('ask').open")
+    page.key(key)
+    page.wait(f"document.getElementById({dialog!r}).open")
     pressed = "document.activeElement.dispatchEvent(new KeyboardEvent('keydown', { key: 'm', bubbles: true }))"
-    assert page.run(f"{leave}; ask.close(); {pressed}; asktitle.textContent") == "Mark"
+    assert page.run(f"document.getElementById({dialog!r}).close(); {pressed}; asktitle.textContent") == "Mark"
 
 
 def test_a_wrong_name_is_refused_in_the_dialog_in_words(open_page):

@@ -26,19 +26,14 @@ export function ask(title, text, fields, doneWord, run) {
       return label;
     }),
   );
-  // until the next picture a browser leaves the focus in a dialog that is closed: keys would go there
-  const close = () => {
-    dialog.close();
-    if (dialog.contains(document.activeElement)) document.activeElement.blur();
-  };
-  $("askleave").onclick = dialog.oncancel = close;
+  $("askleave").onclick = () => dialog.close();
   const form = dialog.querySelector("form");
   form.onsubmit = async (event) => {
     event.preventDefault();
     const values = Object.fromEntries([...form.querySelectorAll("input")].map((i) => [i.name, i.value.trim()]));
     try {
       await run(values);
-      close();
+      dialog.close();
     } catch (error) {
       $("askproblem").textContent = error.message;
     }

@@ -282,7 +282,9 @@ const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], Arrow
 const WATCHING = new Set(["s", "w", "?", "Escape"]);
 
 addEventListener("keydown", (event) => {
-  const typing = event.target.closest("input, select, dialog");
+  // until its next picture a browser leaves the focus in a dialog that is closed
+  const dialog = event.target.closest("dialog");
+  const typing = dialog ? dialog.open : event.target.closest("input, select");
   if (typing || event.ctrlKey || event.altKey || event.metaKey) return;
   const key = KEYS.find((k) => k[2] === event.key), arrow = ARROWS[event.key];
   if ((key || arrow) && !mayControl && !WATCHING.has(event.key)) return;
