@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from drivers.errors import ConfigError
-from service.precedence import go_between
+from service.precedence import come_along, go_between
 from service.sinks.ports import falls_silent, free_port, is_loopback, listens
 from service.sinks.quiet_rerun import rr
 from service.sinks.viewer_pace import Pace
@@ -34,7 +34,7 @@ log = logging.getLogger(__name__)
 CAPACITY = 2
 """What waits longer than two frames is no longer what the camera sees."""
 GRPC_PORT, WEB_PORT = 9876, 9090
-START_TIMEOUT_S = 5.0
+START_TIMEOUT_S = 20.0
 PACK_TIMEOUT_S = 0.2
 SILENT_TIMEOUT_S = 0.2
 BY_FRAME = rr.ChunkBatcherConfig(flush_tick=1.0, flush_num_bytes=2**30, flush_num_rows=2**20)
@@ -136,6 +136,7 @@ class ViewerSink(ViewerStream):
 
     def _do_finish(self, timeout_s: float) -> None:
         deadline = time.monotonic() + timeout_s
+        come_along()  # on a busy machine rerun would need many seconds to send what is left, and to end
         super()._do_finish(timeout_s)
         assert self._port is not None, "started"
         # Its server ends when it gets to it, and not at all before viewers that are still there

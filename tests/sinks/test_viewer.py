@@ -1,3 +1,4 @@
+import contextlib
 import itertools
 import os
 import signal
@@ -198,15 +199,28 @@ def test_frames_that_rerun_has_no_time_to_pack_are_let_go_and_counted(sink, monk
     assert (sink.stats().accepted, sink.stats().dropped, sink.stats().failed) == (4, 1, 0)
 
 
+def policies():
+    """By what rule the system lets this process's threads run, by their names."""
+    found = {}
+    for task in Path("/proc/self/task").iterdir():
+        with contextlib.suppress(OSError):  # it has ended
+            found.setdefault((task / "comm").read_text().strip(), set()).add(os.sched_getscheduler(int(task.name)))
+    return found
+
+
 def test_rerun_packs_and_sends_when_no_other_thread_wants_to_run(ranked):
     feed(ranked, range(3))
-    policies = {}
-    for task in Path("/proc/self/task").iterdir():
-        policies.setdefault((task / "comm").read_text().strip(), set()).add(os.sched_getscheduler(int(task.name)))
-    assert os.SCHED_IDLE in policies["tokio-rt-worker"]
+    assert os.SCHED_IDLE in policies()["tokio-rt-worker"]
     holders = threading.main_thread(), ranked._thread, ranked._page._thread  # of Python's lock: they must not wait
     for thread in holders:
         assert os.sched_getscheduler(thread.native_id) == os.SCHED_OTHER, thread.name
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give a thread back what rank it had")
+def test_at_the_end_no_thread_is_left_to_wait_for_all_others(ranked):
+    feed(ranked, range(3))
+    ranked.close(PATIENCE_S)
+    assert os.SCHED_IDLE not in set().union(*policies().values())
 
 
 def test_a_connection_that_never_speaks_or_reads_delays_nobody(sink):
