@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from drivers.errors import ConfigError
 from drivers.session_replay import is_session
 from service.cli.outputs import check_outputs
-from service.cli.terminal import progress
+from service.cli.progress import progress
 from service.config.cameras import write_atomically
 from service.sinks.session.reader import open_session
 

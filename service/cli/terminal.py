@@ -14,13 +14,11 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tqdm import tqdm
-
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
     from types import FrameType
 
-__all__ = ["Interrupted", "StatusLine", "interruptible", "logging_to_terminal", "progress", "say", "secure_streams"]
+__all__ = ["Interrupted", "StatusLine", "interruptible", "logging_to_terminal", "say", "secure_streams"]
 
 ERASE = "\r\x1b[K"
 SEPARATOR = " · "
@@ -41,24 +39,6 @@ def say(message: str) -> None:
     """Print one line on standard error, whatever the message holds."""
     start = ERASE if sys.stderr.isatty() else ""
     print(f"{start}bowlsight: {' '.join(message.split())}", file=sys.stderr, flush=True)
-
-
-@contextlib.contextmanager
-def progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Show a bar on a terminal; yields what is told what goes on, how much of it is done, and how much there is."""
-    tqdm.monitor_interval = 0  # no thread of its own
-    with tqdm(disable=None, leave=False, unit_scale=True) as bar:
-        shown = ""
-
-        def show(what: str, done: int, total: int) -> None:
-            nonlocal shown
-            if what != shown:
-                shown = what
-                bar.reset(total)
-                bar.set_description(what)
-            bar.update(done - bar.n)
-
-        yield show
 
 
 class Interrupted(KeyboardInterrupt):

@@ -9,7 +9,7 @@ from drivers.errors import ConfigError, DeviceError
 from drivers.session_replay import is_session
 from service.cli.again import measured_as_recorded, remembered
 from service.cli.live import prepare_kernels
-from service.cli.terminal import progress
+from service.cli.progress import progress
 from service.sinks.evidence import without_times
 from service.sinks.evidence_check import record_key
 from service.sinks.session.comparison import Comparison

@@ -75,5 +75,5 @@ def test_the_recorder_deletes_what_is_too_much_and_notes_it(tmp_path):
         recording.feed(frame(0))
         wait_for(lambda: not (tmp_path / "2001").exists())
         wait_for(lambda: recording.recorder.state.measured == 1)
-        (folder,) = tmp_path.iterdir()
+        folder = recording.recorder.state.folder
         wait_for(lambda: "deleted session 2001" in (folder / "events.jsonl").read_text())  # told once it is gone
