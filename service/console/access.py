@@ -18,8 +18,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
+    from drivers.grabber import Clock
     from service.config.console import ConsoleSettings
 
 __all__ = ["Access", "Bucket", "Buckets", "Right", "Tokens"]
@@ -135,19 +134,17 @@ class Bucket:
     ----------
     rate_hz, burst
         How many in the long run, and how many at once.
-    now_s
-        The clock.
     """
 
-    def __init__(self, rate_hz: float, burst: float, now_s: Callable[[], float]) -> None:
-        self._rate_hz, self._burst, self._now_s = rate_hz, burst, now_s
-        self._left, self._last_s = burst, now_s()
+    def __init__(self, rate_hz: float, burst: float, clock: Clock) -> None:
+        self._rate_hz, self._burst, self._clock = rate_hz, burst, clock
+        self._left, self._last_ns = burst, clock.monotonic_ns()
 
     def take(self) -> bool:
         """Whether one more may pass."""
-        now_s = self._now_s()
-        self._left = min(self._burst, self._left + (now_s - self._last_s) * self._rate_hz)
-        self._last_s = now_s
+        now_ns = self._clock.monotonic_ns()
+        self._left = min(self._burst, self._left + (now_ns - self._last_ns) * 1e-9 * self._rate_hz)
+        self._last_ns = now_ns
         if self._left < 1:
             return False
         self._left -= 1
@@ -157,13 +154,13 @@ class Bucket:
 class Buckets:
     """A bucket for each of the last clients. For one thread."""
 
-    def __init__(self, rate_hz: float, burst: float, now_s: Callable[[], float]) -> None:
-        self._rate_hz, self._burst, self._now_s = rate_hz, burst, now_s
+    def __init__(self, rate_hz: float, burst: float, clock: Clock) -> None:
+        self._rate_hz, self._burst, self._clock = rate_hz, burst, clock
         self._kept: collections.OrderedDict[str, Bucket] = collections.OrderedDict()
 
     def take(self, client: str) -> bool:
         """Whether one more of this client's may pass."""
-        bucket = self._kept.pop(client, None) or Bucket(self._rate_hz, self._burst, self._now_s)
+        bucket = self._kept.pop(client, None) or Bucket(self._rate_hz, self._burst, self._clock)
         self._kept[client] = bucket
         if len(self._kept) > MOST_CLIENTS:
             self._kept.popitem(last=False)

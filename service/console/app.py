@@ -76,8 +76,8 @@ class WebApp:
         self._clock, self._most_pages = clock, most_pages
         self._files = page_files()
         self._schema = openapi()
-        self._requests = Buckets(REQUESTS_HZ, REQUESTS_BURST, self._now_s)
-        self._logins = Buckets(LOGINS_HZ, LOGINS_BURST, self._now_s)
+        self._requests = Buckets(REQUESTS_HZ, REQUESTS_BURST, clock)
+        self._logins = Buckets(LOGINS_HZ, LOGINS_BURST, clock)
         self._state = ""
         self._pages = 0
         self._commanding = asyncio.Lock()
@@ -92,9 +92,6 @@ class WebApp:
         ]
         starlette = Starlette(routes=routes, lifespan=self._lifespan, exception_handlers={HTTPException: _refused})
         self.asgi: ASGIApp = _Guard(starlette, access, self._requests)
-
-    def _now_s(self) -> float:
-        return self._clock.monotonic_ns() / 1e9
 
     # -- what goes on without a request ------------------------------------------------------------------------------
 

@@ -51,7 +51,7 @@ class SocketPage:
         self._told_state = ""
         self._pongs: list[float] = []
         self._sent = self._seen = self._numbers = 0
-        self._sent_s = 0.0
+        self._sent_ms = 0.0
 
     async def serve(self) -> None:
         """Run until the page goes."""
@@ -72,7 +72,7 @@ class SocketPage:
     # -- from the page -----------------------------------------------------------------------------------------------
 
     async def _receive(self) -> None:
-        bucket = Bucket(MESSAGES_HZ, MESSAGES_BURST, self._now_s)
+        bucket = Bucket(MESSAGES_HZ, MESSAGES_BURST, self._clock)
         while True:
             message = await self._socket.receive()
             if message["type"] == "websocket.disconnect":
@@ -126,14 +126,11 @@ class SocketPage:
         posted = self._board.newest
         if posted is None or posted.number == self._sent:
             return
-        if self._numbers - self._seen >= UNSEEN and self._now_s() - self._sent_s < RECEIPT_TIMEOUT_S:
+        if self._numbers - self._seen >= UNSEEN and self._now_ms() - self._sent_ms < 1e3 * RECEIPT_TIMEOUT_S:
             return
-        self._sent, self._sent_s = posted.number, self._now_s()
+        self._sent, self._sent_ms = posted.number, self._now_ms()
         self._numbers += 1
         await self._socket.send_bytes(posted.message)
-
-    def _now_s(self) -> float:
-        return self._clock.monotonic_ns() / 1e9
 
     def _now_ms(self) -> float:
         return self._clock.monotonic_ns() / 1e6

@@ -170,12 +170,12 @@ def test_on_a_network_plain_addresses_and_the_names_given_are_ours():
 
 
 def test_a_bucket_fills_up_again_and_each_client_has_one():
-    now = [0.0]
-    bucket = Bucket(2.0, 3.0, lambda: now[0])
+    clock = ManualClock()
+    bucket = Bucket(2.0, 3.0, clock)
     assert [bucket.take() for _ in range(4)] == [True, True, True, False]
-    now[0] = 0.5
+    clock.advance(0.5)
     assert [bucket.take() for _ in range(2)] == [True, False]
-    buckets = Buckets(1.0, 1.0, lambda: now[0])
+    buckets = Buckets(1.0, 1.0, clock)
     assert [buckets.take(c) for c in ("a", "a", "b")] == [True, False, True]
     for i in range(1000):
         buckets.take(str(i))

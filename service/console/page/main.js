@@ -25,6 +25,7 @@ const latencies = [];
 const link = new Link({
   opened() {
     connected = true;
+    doneMs = -Infinity; // a service that was started anew may have another clock
   },
   closed(code, reason) {
     connected = false;

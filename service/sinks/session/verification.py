@@ -225,7 +225,10 @@ class _Verification:
 
 
 def _size(path: Path) -> int:
-    return path.stat().st_size if path.is_file() else 0
+    try:
+        return path.stat().st_size
+    except OSError:  # reading it will tell
+        return 0
 
 
 def _hashed(folder: Path, name: str, recorded: str) -> Iterator[Finding]:

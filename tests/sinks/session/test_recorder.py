@@ -3,7 +3,6 @@
 import errno
 import json
 import math
-import time
 from dataclasses import replace
 
 import numpy as np
@@ -18,7 +17,7 @@ from service.sinks.session.places import CSV, EVENTS, RESULTS
 from service.sinks.session.reader import SessionEnd, open_session
 from service.sinks.session.verification import verify_session
 from service.sinks.session.video import HashedFile
-from tests.sinks.session.recorded import Recording, frame, record, results
+from tests.sinks.session.recorded import Recording, frame, record, results, wait_for
 
 
 def played(folder):
@@ -31,13 +30,6 @@ def played(folder):
                 frames.append(grabber.read(1.0))
         except EndOfRecordingError:
             return frames
-
-
-def until(condition, seconds=60.0):
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline
-        time.sleep(0.005)
 
 
 @pytest.mark.parametrize(
@@ -104,7 +96,7 @@ def test_what_finds_no_room_is_counted_and_told(tmp_path):
 def test_an_overflow_is_in_the_index(tmp_path):
     with Recording(tmp_path, capacity=1) as recording:
         recording.feed(frame(0))
-        until(lambda: recording.recorder.state.measured == 1)
+        wait_for(lambda: recording.recorder.state.measured == 1)
         recording.frames.overflowed += 7
         recording.feed(frame(8))
     (folder,) = tmp_path.iterdir()
@@ -128,15 +120,15 @@ def test_a_full_disk_ends_the_recording_and_nothing_else(tmp_path, monkeypatch, 
     monkeypatch.setattr(HashedFile, "write", full_after(30_000))
     with Recording(tmp_path) as recording:
         recording.feed(*(frame(k) for k in range(20)))
-        until(lambda: recording.recorder.state.failure is not None)
+        wait_for(lambda: recording.recorder.state.failure is not None)
         assert recording.recorder.state.folder is None
         assert "No space left on device; make room" in recording.recorder.state.failure
         recording.feed(*(frame(k) for k in range(20, 40)))  # goes on being served
-        until(lambda: recording.frames.depth == 0)
+        wait_for(lambda: recording.frames.depth == 0)
         monkeypatch.undo()
         folder = recording.recorder.start_recording()  # once there is room again
         recording.feed(frame(40))
-        until(lambda: recording.recorder.state.measured == 1)
+        wait_for(lambda: recording.recorder.state.measured == 1)
         assert recording.recorder.state.failure is None
     assert "recording stopped" in caplog.text
     first, second = sorted(tmp_path.iterdir())
@@ -151,9 +143,9 @@ def test_recording_stops_before_the_disk_is_full(tmp_path):
     with Recording(tmp_path, free=lambda _: room[0]) as recording:
         object.__setattr__(recording.plan.settings, "keep_free_mib", 500.0)
         recording.feed(frame(0))
-        until(lambda: recording.recorder.state.measured == 1)
+        wait_for(lambda: recording.recorder.state.measured == 1)
         room[0] = 499 * 2**20
-        until(lambda: recording.recorder.state.failure is not None)
+        wait_for(lambda: recording.recorder.state.failure is not None)
         assert "499 MiB are left on the disk, and 500 MiB are to stay free" in recording.recorder.state.failure
 
 
@@ -168,7 +160,7 @@ def test_recording_starts_and_stops_when_asked(tmp_path):
             recording.recorder.start_recording()
         assert open_session(folder).counts().end is SessionEnd.RECORDING
         recording.feed(frame(1))
-        until(lambda: recording.recorder.state.measured == 1)
+        wait_for(lambda: recording.recorder.state.measured == 1)
         assert recording.recorder.stop_recording() == folder
         recording.feed(frame(2))
     session = open_session(folder)
@@ -191,7 +183,7 @@ def test_what_is_recorded_in_the_midst_counts_as_measured_once_what_was_remember
         for f in (third, fourth):
             recording.frames.offer(f)
             recorder.accept(f, remembering(results(f), f.sequence))
-        until(lambda: recorder.state.measured == 2)
+        wait_for(lambda: recorder.state.measured == 2)
         assert not recorder.memory_wanted
         recording.feed(frame(5))
     (folder,) = tmp_path.iterdir()
@@ -206,13 +198,13 @@ def test_a_session_from_the_start_waits_for_no_memory_and_one_that_cannot_be_kep
     with Recording(tmp_path, remembers=True) as recording:
         assert not recording.recorder.memory_wanted
         recording.feed(frame(0))
-        until(lambda: recording.recorder.state.measured == 1)
+        wait_for(lambda: recording.recorder.state.measured == 1)
         recording.recorder.stop_recording()
         folder = recording.recorder.start_recording()
         f = frame(1)
         recording.frames.offer(f)
         recording.recorder.accept(f, (replace(results(f)[0], memory=Memory.none()),))
-        until(lambda: recording.recorder.state.measured == 1)
+        wait_for(lambda: recording.recorder.state.measured == 1)
     assert open_session(folder).memory() is None
     assert list(verify_session(folder)) == []
 
@@ -277,7 +269,7 @@ class Viewer:
 def test_the_viewers_file_is_vouched_for_once_nobody_writes_to_it_any_more(tmp_path, left_behind):
     with Recording(tmp_path, viewer_for=lambda path: Viewer(path, left_behind)) as recording:
         recording.feed(*(frame(k) for k in range(5)))
-        until(lambda: recording.recorder.state.measured == 5)
+        wait_for(lambda: recording.recorder.state.measured == 5)
     (folder,) = tmp_path.iterdir()
     (closed,) = [i for i in read_index(folder / INDEX) if isinstance(i, Closed)]
     assert ("viewer.rrd" in closed.sha256) is not left_behind
